@@ -1,0 +1,1 @@
+"""The simulated bin-picking cell."""

@@ -1,0 +1,78 @@
+"""Every setting of the cell, as frozen dataclasses. Lengths [m], angles [rad], times [s], world frame unless said."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from perception.frame import Workspace
+from perception.geometry import make_transform, rotation_about
+
+Backend = Literal["rays", "egl"]
+SensorPreset = Literal["none", "good", "harsh"]
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise ValueError(message)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BinConfig:
+    """The bin and where it stands. The world's origin is under the robot's base, z = 0 is the table's top."""
+
+    inner_size: tuple[float, float, float] = (0.36, 0.26, 0.12)  # length, width, height inside [m]
+    wall: float = 0.02  # thickness of walls and floor [m]; thick, so that nothing tunnels
+    position: tuple[float, float] = (0.50, 0.0)  # centre in the world's x and y [m]
+    yaw: float = np.pi / 2  # bin x axis against world x [rad]; the long side runs across the robot's view
+
+    def __post_init__(self) -> None:
+        _require(min(self.inner_size) > 0, f"inner_size must be positive, got {self.inner_size}")
+        _require(self.wall >= 0.005, f"wall must be at least 0.005 m, got {self.wall}")
+
+    def workspace(self) -> Workspace:
+        """Return the bin's pose and inner box."""
+        centre = (*self.position, self.wall)
+        T_world_bin = make_transform(rotation_about((0, 0, 1), self.yaw), centre)
+        return Workspace(T_world_bin=T_world_bin, inner_size=np.array(self.inner_size))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrayConfig:
+    """The drop tray beside the bin."""
+
+    inner_size: tuple[float, float, float] = (0.24, 0.24, 0.06)  # [m]
+    wall: float = 0.01  # [m]
+    position: tuple[float, float] = (0.42, -0.42)  # centre in the world's x and y [m]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraConfig:
+    """The overhead depth camera; its optical axis goes straight down through the bin's centre."""
+
+    width: int = 1280  # [px]
+    height: int = 960  # [px]
+    focal: float = 2400.0  # [px] at 1280 wide; scaled with `width`
+    distance: float = 0.9  # from the bin's floor [m]
+    backend: Backend = "rays"  # "rays": mj_multiRay, the reference, needs no GL; "egl": faster where a GL driver exists
+
+    def __post_init__(self) -> None:
+        _require(self.width >= 16 and self.height >= 16, f"the image must be at least 16 x 16, got {self.width} x {self.height}")
+        _require(self.focal > 0, f"focal must be positive, got {self.focal}")
+        _require(self.distance > 0.2, f"distance must exceed 0.2 m, got {self.distance}")
+        _require(self.backend in ("rays", "egl"), f"backend must be 'rays' or 'egl', got {self.backend!r}")
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length in this image's pixels."""
+        return self.focal * self.width / 1280
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellConfig:
+    """Everything in the cell but the parts."""
+
+    bin: BinConfig = field(default_factory=BinConfig)
+    tray: TrayConfig = field(default_factory=TrayConfig)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    timestep: float = 0.002  # of the physics [s]

@@ -1,0 +1,1 @@
+"""Boundary points, instance segmentation and 6D poses from a depth camera's arrays. Knows no simulator."""

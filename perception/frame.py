@@ -1,0 +1,83 @@
+"""What a depth camera delivers, and what a cell knows about the bin it looks at."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.geometry import Floats, invert_transform, require_shape, transform_points
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Frame:
+    """One exposure of a calibrated depth camera.
+
+    Attributes:
+        grey: (H, W) uint8 image.
+        depth: (H, W) float32 distance along the optical axis [m]; 0 where there is no measurement (NaN is turned into 0).
+        K: (3, 3) pinhole matrix [px], pixel centres at integers.
+        T_world_cam: (4, 4) camera pose, OpenCV axes.
+    """
+
+    grey: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    K: Floats
+    T_world_cam: Floats
+
+    def __post_init__(self) -> None:
+        if self.depth.ndim != 2 or self.grey.shape != self.depth.shape:
+            raise ValueError(f"grey and depth must be one (H, W), got {self.grey.shape} and {self.depth.shape}")
+        if self.grey.dtype != np.uint8:
+            raise ValueError(f"grey must be uint8, got {self.grey.dtype}")
+        if not np.issubdtype(self.depth.dtype, np.floating):
+            raise ValueError(f"depth must be floating point metres, got {self.depth.dtype} (millimetres in integers?)")
+        require_shape("K", self.K, (3, 3))
+        require_shape("T_world_cam", self.T_world_cam, (4, 4))
+        if not (np.all(np.isfinite(self.K)) and self.K[0, 0] > 0 and self.K[1, 1] > 0):
+            raise ValueError(f"K must be finite with positive focal lengths, got {self.K.tolist()}")
+        if not np.all(np.isfinite(self.T_world_cam)):
+            raise ValueError("T_world_cam must be finite")
+        clean = np.where(np.isfinite(self.depth) & (self.depth > 0), self.depth, 0).astype(np.float32)
+        object.__setattr__(self, "depth", clean)
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(H, W) mask of pixels that carry a depth."""
+        return self.depth > 0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Workspace:
+    """The bin: its pose and inner box. The bin frame's origin is the centre of the inner floor, z up.
+
+    Attributes:
+        T_world_bin: (4, 4) pose of the bin.
+        inner_size: (3,) inner length, width, height [m] along the bin's x, y, z.
+    """
+
+    T_world_bin: Floats
+    inner_size: Floats
+
+    def __post_init__(self) -> None:
+        require_shape("T_world_bin", self.T_world_bin, (4, 4))
+        require_shape("inner_size", self.inner_size, (3,))
+        if not np.all(self.inner_size > 0):
+            raise ValueError(f"inner_size must be positive, got {self.inner_size.tolist()}")
+
+    def to_bin(self, points_world: Floats) -> Floats:
+        """Map (N, 3) world points into the bin frame."""
+        return transform_points(invert_transform(self.T_world_bin), points_world)
+
+    def contains(self, points_world: Floats, *, margin: float = 0.0, headroom: float = 0.0) -> NDArray[np.bool_]:
+        """Return the (N,) mask of world points inside the inner box.
+
+        Args:
+            points_world: (N, 3) [m].
+            margin: Shrinks the box at the walls and the floor [m].
+            headroom: Raises its top above the rim [m].
+        """
+        points_bin = self.to_bin(points_world)
+        half = self.inner_size[:2] / 2 - margin
+        beside = np.all(np.abs(points_bin[:, :2]) <= half, axis=1)
+        z = points_bin[:, 2]
+        return beside & (z >= margin) & (z <= self.inner_size[2] + headroom)

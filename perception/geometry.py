@@ -1,0 +1,112 @@
+"""Rigid transforms, unit quaternions and the pinhole camera.
+
+Conventions, here and everywhere: ``T_a_b`` is (4, 4) float64 and maps b-coordinates to a-coordinates, quaternions are
+wxyz and unit, the camera frame is OpenCV's (x right, y down, z forward), lengths are metres and angles radians.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+Floats = NDArray[np.float64]
+
+
+def require_shape(name: str, array: NDArray[np.generic], shape: tuple[int | None, ...]) -> None:
+    """Raise ``ValueError`` unless ``array`` has ``shape``; ``None`` stands for any length."""
+    fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
+    if not fits:
+        wanted = ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "")
+        raise ValueError(f"{name} must be ({wanted}), got {array.shape}")
+
+
+def make_transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Floats:
+    """Compose a (4, 4) transform from a (3, 3) rotation and a (3,) translation [m]; either may be left out."""
+    T = np.eye(4)
+    if rotation is not None:
+        T[:3, :3] = rotation
+    if translation is not None:
+        T[:3, 3] = translation
+    return T
+
+
+def invert_transform(T_a_b: Floats) -> Floats:
+    """Return ``T_b_a``; works on (..., 4, 4)."""
+    R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
+    T_b_a = np.zeros_like(T_a_b)
+    T_b_a[..., :3, :3] = R_b_a
+    T_b_a[..., :3, 3] = -np.einsum("...ij,...j->...i", R_b_a, T_a_b[..., :3, 3])
+    T_b_a[..., 3, 3] = 1.0
+    return T_b_a
+
+
+def transform_points(T_a_b: Floats, points_b: Floats) -> Floats:
+    """Map (N, 3) points from frame b to frame a."""
+    return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+
+
+def matrix_from_quat(quat: ArrayLike) -> Floats:
+    """Return the (..., 3, 3) rotation of (..., 4) wxyz quaternions."""
+    return Rotation.from_quat(np.asarray(quat, dtype=np.float64), scalar_first=True).as_matrix()
+
+
+def quat_from_matrix(rotation: ArrayLike) -> Floats:
+    """Return the (..., 4) wxyz quaternion with w >= 0 of (..., 3, 3) rotations."""
+    return Rotation.from_matrix(np.asarray(rotation, dtype=np.float64)).as_quat(canonical=True, scalar_first=True)
+
+
+def rotation_about(axis: ArrayLike, angle: float) -> Floats:
+    """Return the (3, 3) rotation by ``angle`` [rad] about ``axis`` (3,), which need not be unit."""
+    axis = np.asarray(axis, dtype=np.float64)
+    return Rotation.from_rotvec(axis * (angle / np.linalg.norm(axis))).as_matrix()
+
+
+def rotation_angle(rotation: Floats) -> Floats:
+    """Return the angle [rad] in [0, pi] of (..., 3, 3) rotations."""
+    # atan2 of the skew part and the trace keeps its precision at 0 and at pi, where acos of the trace loses half the digits.
+    skew = rotation - np.swapaxes(rotation, -1, -2)
+    sine = 0.5 * np.sqrt(skew[..., 2, 1] ** 2 + skew[..., 0, 2] ** 2 + skew[..., 1, 0] ** 2)
+    return np.arctan2(sine, 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0))
+
+
+def rotation_6d(rotation: Floats) -> Floats:
+    """Return the (..., 6) continuous encoding of (..., 3, 3) rotations: the first two columns, one after the other.
+
+    Source: Zhou et al., "On the Continuity of Rotation Representations in Neural Networks", CVPR 2019.
+    """
+    return np.concatenate([rotation[..., :, 0], rotation[..., :, 1]], axis=-1)
+
+
+def rotation_from_6d(encoding: Floats) -> Floats:
+    """Invert :func:`rotation_6d` by Gram-Schmidt; takes any (..., 6) whose two halves are not parallel."""
+    x = encoding[..., :3] / np.linalg.norm(encoding[..., :3], axis=-1, keepdims=True)
+    y = encoding[..., 3:] - np.sum(x * encoding[..., 3:], axis=-1, keepdims=True) * x
+    y = y / np.linalg.norm(y, axis=-1, keepdims=True)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
+def random_rotation(rng: np.random.Generator) -> Floats:
+    """Draw a (3, 3) rotation uniformly from SO(3)."""
+    return matrix_from_quat(rng.normal(size=4))
+
+
+def camera_matrix(focal_px: float, width: int, height: int) -> Floats:
+    """Return K (3, 3) with square pixels and the principal point at the image's centre, pixel centres at integers."""
+    return np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
+
+
+def project_points(K: Floats, points_cam: Floats) -> Floats:
+    """Project (N, 3) camera points with z > 0 to (N, 2) pixels (u right, v down)."""
+    uvw = points_cam @ K.T
+    return uvw[:, :2] / uvw[:, 2:]
+
+
+def deproject_depth(K: Floats, depth: NDArray[np.floating]) -> Floats:
+    """Turn (H, W) depth [m] along z into an organised cloud (H, W, 3) in the camera frame.
+
+    Invalid depth (0 or NaN) gives the origin or NaN: mask with :attr:`Frame.valid`.
+    """
+    height, width = depth.shape
+    u = (np.arange(width) - K[0, 2]) / K[0, 0]
+    v = (np.arange(height) - K[1, 2]) / K[1, 1]
+    z = depth.astype(np.float64)
+    return np.stack([z * u[None, :], z * v[:, None], z], axis=-1)

@@ -1,0 +1,95 @@
+"""A part as perception sees it: mesh, exact diameter, symmetry group, centre."""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import trimesh
+from scipy.spatial.distance import pdist
+
+from perception.geometry import Floats, require_shape, rotation_about, rotation_angle
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Symmetry:
+    """The proper rotations about a part's centre that map its surface onto itself.
+
+    The group is ``{R @ Rot(axis, t)}`` over ``rotations`` and, where there is an axis, every angle ``t``.
+
+    Attributes:
+        rotations: (S, 3, 3) float64 in part axes, the identity first.
+        axis: (3,) unit axis of continuous rotation, or None.
+    """
+
+    rotations: Floats = field(default_factory=lambda: np.eye(3)[None])
+    axis: Floats | None = None
+
+    def __post_init__(self) -> None:
+        require_shape("rotations", self.rotations, (None, 3, 3))
+        if len(self.rotations) == 0 or not np.allclose(self.rotations[0], np.eye(3)):
+            raise ValueError("rotations must begin with the identity")
+        gram = self.rotations @ np.swapaxes(self.rotations, -1, -2)
+        if not np.allclose(gram, np.eye(3), atol=1e-9) or np.any(np.linalg.det(self.rotations) < 0):
+            raise ValueError("rotations must be proper rotation matrices")
+        if self.axis is not None:
+            require_shape("axis", self.axis, (3,))
+            if not np.isclose(np.linalg.norm(self.axis), 1.0):
+                raise ValueError(f"axis must be a unit vector, got {self.axis.tolist()}")
+
+    @property
+    def order(self) -> float:
+        """Number of group elements; infinite for a solid of revolution."""
+        return np.inf if self.axis is not None else float(len(self.rotations))
+
+    def elements(self, steps: int = 72) -> Floats:
+        """Return the (M, 3, 3) group elements, the continuous axis sampled at ``steps`` equal angles."""
+        if self.axis is None:
+            return self.rotations
+        turns = np.stack([rotation_about(self.axis, 2 * np.pi * k / steps) for k in range(steps)])
+        return np.einsum("sij,tjk->stik", self.rotations, turns).reshape(-1, 3, 3)
+
+    def distance(self, rotation_a: Floats, rotation_b: Floats) -> float:
+        """Return the smallest angle [rad] between two (3, 3) part rotations modulo the group."""
+        if self.axis is None:
+            return float(np.min(rotation_angle(rotation_a @ self.rotations @ rotation_b.T)))
+        # Exact for a continuous axis: free rotation about it leaves only the angle between the axes' images.
+        axes_a = (rotation_a @ self.rotations) @ self.axis
+        axis_b = rotation_b @ self.axis
+        cross = np.linalg.norm(np.cross(axes_a, axis_b), axis=-1)
+        return float(np.min(np.arctan2(cross, axes_a @ axis_b)))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PartModel:
+    """The knowledge about a part that perception may use.
+
+    Attributes:
+        name: Catalogue name or file stem.
+        mesh: Watertight triangle mesh in the part frame [m].
+        d_max: Largest distance between two vertices [m], exact.
+        symmetry: Rotations about ``centre`` that cannot be told apart.
+        centre: (3,) the point every symmetry fixes (the volume's centroid), part frame [m].
+    """
+
+    name: str
+    mesh: trimesh.Trimesh
+    d_max: float
+    symmetry: Symmetry
+    centre: Floats
+
+    @classmethod
+    def from_mesh(cls, name: str, mesh: trimesh.Trimesh, symmetry: Symmetry | None = None) -> "PartModel":
+        """Measure ``d_max`` and ``centre`` of a watertight mesh [m]; no symmetry means the trivial group."""
+        if not mesh.is_watertight:
+            raise ValueError(f"the mesh of {name!r} must be watertight (every edge shared by two faces)")
+        return cls(name=name, mesh=mesh, d_max=diameter(mesh.vertices), symmetry=symmetry or Symmetry(),
+                   centre=np.asarray(mesh.center_mass, dtype=np.float64))
+
+
+def diameter(points: Floats) -> float:
+    """Return the largest distance between two of (N, 3) points, exactly (only hull vertices can realise it)."""
+    hull = trimesh.PointCloud(points).convex_hull.vertices
+    if len(hull) <= 4000:
+        return float(pdist(hull).max())
+    blocks = [*range(0, len(hull), 1000), len(hull)]
+    return float(max(np.linalg.norm(hull[a:b, None] - hull[None], axis=-1).max() for a, b in pairwise(blocks)))

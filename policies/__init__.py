@@ -1,0 +1,1 @@
+"""Inverse kinematics, grasps, the scripted picker and its evaluation."""
