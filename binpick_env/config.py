@@ -69,9 +69,19 @@ class CameraConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RobotConfig:
+    """The arm's place and the limits that targets are held to."""
+
+    pedestal_height: float = 0.15  # of the arm's base above the table [m]
+    max_velocity: float = np.pi  # of every joint [rad/s]: the UR5e's data sheet, 180 deg/s
+    max_acceleration: float = 12.0  # of every joint [rad/s^2]; the drives' torque limits allow more near the base
+
+
+@dataclass(frozen=True, kw_only=True)
 class CellConfig:
     """Everything in the cell but the parts."""
 
+    robot: RobotConfig = field(default_factory=RobotConfig)
     bin: BinConfig = field(default_factory=BinConfig)
     tray: TrayConfig = field(default_factory=TrayConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)

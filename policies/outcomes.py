@@ -1,0 +1,107 @@
+"""What a pick attempt starts from and how it ends."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from perception.geometry import Floats
+
+
+class GraspOutcome(StrEnum):
+    """How an executed attempt ended, judged from the physics. An attempt begins when the gripper leaves the pre-grasp."""
+
+    DELIVERED = "delivered"  # exactly one part, released over the tray, at rest in it
+    COLLIDED = "collided"  # hit the bin or pressed on a part on the way down; the descent was broken off
+    MISSED = "missed"  # the jaw closed and held nothing
+    SLIPPED = "slipped"  # held at first, lost during the lift
+    DROPPED = "dropped"  # lost on the way to the tray
+    DOUBLE = "double"  # more than one part came along
+    LEFT_BIN = "left_bin"  # a part came to lie outside of bin and tray
+    NOT_SETTLED = "not_settled"  # released, but not at rest in the tray in time
+
+
+class Abstention(StrEnum):
+    """Why no attempt was made."""
+
+    NO_CANDIDATE = "no_candidate"  # perception offers no part
+    NO_CLEAR_APPROACH = "no_clear_approach"  # every grasp would touch a neighbour or a wall
+    IK_INFEASIBLE = "ik_infeasible"  # clear grasps exist, but the arm reaches none of them
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Grasp:
+    """A parallel-jaw grasp on a part.
+
+    The grasp frame: origin midway between the two fingertips' ends when the pads touch the part, z along the approach,
+    y along the closing direction, x across the pads.
+
+    Attributes:
+        T_part_grasp: (4, 4).
+        width: Distance between the pads at contact [m].
+        quality: In [0, 1], higher is better.
+    """
+
+    T_part_grasp: Floats
+    width: float
+    quality: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GraspCandidate:
+    """A grasp on a seen part that is clear of the scene as far as it was seen.
+
+    Attributes:
+        T_world_grasp: (4, 4) grasp frame at contact.
+        T_world_tcp: (4, 4) where the arm's tcp must be when the pads close to ``width``.
+        width: Distance between the pads at contact [m].
+        opening: Distance between the pads during the approach [m].
+        candidate: Row of the pose candidate in the observation.
+        score: Rank among the grasps; higher is tried first.
+        features: Named scalars behind the score.
+    """
+
+    T_world_grasp: Floats
+    T_world_tcp: Floats
+    width: float
+    opening: float
+    candidate: int
+    score: float
+    features: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PickResult:
+    """One decision of a picker: an executed attempt, or an abstention.
+
+    Attributes:
+        outcome: How the attempt ended; None for an abstention.
+        abstention: Why nothing was tried; None for an attempt.
+        grasp: What was tried.
+        part: Index of the part that was aimed at, -1 if unknown (for reports; a policy never reads it).
+        delivered: Number of parts delivered by the attempt (0 or 1).
+        t_sense: Nominal exposure time [s].
+        t_compute: Wall clock of perception and planning [s].
+        t_motion: Simulated time [s].
+        frame_id: Frame that the decision was made on.
+    """
+
+    outcome: GraspOutcome | None = None
+    abstention: Abstention | None = None
+    grasp: GraspCandidate | None = None
+    part: int = -1
+    delivered: int = 0
+    t_sense: float = 0.0
+    t_compute: float = 0.0
+    t_motion: float = 0.0
+    frame_id: int = -1
+
+    def __post_init__(self) -> None:
+        if (self.outcome is None) == (self.abstention is None):
+            raise ValueError("a PickResult has either an outcome or an abstention")
+
+    @property
+    def success(self) -> bool:
+        """Whether exactly one part was delivered."""
+        return self.outcome is GraspOutcome.DELIVERED
+
+
+GRIPPER_STROKE = 0.085  # of the 2F-85 [m]
