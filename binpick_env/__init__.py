@@ -1,1 +1,9 @@
-"""The simulated bin-picking cell."""
+"""The simulated bin-picking cell. Importing it registers ``BinPick-v0`` with Gymnasium."""
+
+import gymnasium as gym
+
+gym.register(
+    id="BinPick-v0",
+    entry_point="binpick_env.env:BinPickEnv",
+    max_episode_steps=12_000,
+)

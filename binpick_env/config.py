@@ -75,6 +75,19 @@ class RobotConfig:
     pedestal_height: float = 0.15  # of the arm's base above the table [m]
     max_velocity: float = np.pi  # of every joint [rad/s]: the UR5e's data sheet, 180 deg/s
     max_acceleration: float = 12.0  # of every joint [rad/s^2]; the drives' torque limits allow more near the base
+    gripper_time: float = 0.57  # for the jaw's whole stroke [s]: the 2F-85's data sheet, 150 mm/s
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactConfig:
+    """Contact and damping of parts, bin and tray: the settings under which a pile comes to rest and sleeps."""
+
+    condim: int = 6  # sliding, torsional and rolling friction
+    friction: tuple[float, float, float] = (0.5, 0.005, 0.0002)
+    solref: tuple[float, float] = (0.01, 1.0)  # time constant [s], damping ratio
+    solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)  # MuJoCo's default
+    joint_damping: float = 1e-4  # of the free joints [N s/m and N m s]
+    sleep_tolerance: float = 1e-2  # velocity below which an island of parts falls asleep [m/s, length-weighted rad/s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,5 +97,6 @@ class CellConfig:
     robot: RobotConfig = field(default_factory=RobotConfig)
     bin: BinConfig = field(default_factory=BinConfig)
     tray: TrayConfig = field(default_factory=TrayConfig)
+    contact: ContactConfig = field(default_factory=ContactConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)
     timestep: float = 0.002  # of the physics [s]

@@ -51,6 +51,12 @@ def robot_spec(config: RobotConfig) -> mujoco.MjSpec:
         options.impratio = 10.0
         options.noslip_iterations = 5
         options.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for side in FINGER_PADS:
+        for name in side:
+            # The silicone pad touches in a patch, not a point: torsional friction of a patch of 1 cm radius, 2/3 mu r.
+            pad = gripper.geom(name.removeprefix(GRIPPER))
+            pad.condim = 6
+            pad.friction = [pad.friction[0], 0.005, 0.0005]
     gripper.body("base").add_site(name="tcp", pos=[0, 0, TCP_OFFSET], group=5)
     spec.attach(gripper, prefix=GRIPPER, site=spec.site("attachment_site"))
     for body in spec.bodies:

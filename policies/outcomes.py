@@ -103,5 +103,3 @@ class PickResult:
         """Whether exactly one part was delivered."""
         return self.outcome is GraspOutcome.DELIVERED
 
-
-GRIPPER_STROKE = 0.085  # of the 2F-85 [m]

@@ -1,0 +1,293 @@
+"""``BinPick-v0``: a robot cell that empties a bin."""
+
+from dataclasses import replace
+from typing import Any, ClassVar, Literal
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from binpick_env.camera import Capture, DepthCamera
+from binpick_env.candidates import FEATURES, MAX_CANDIDATES, PoseCandidate, pad_candidates
+from binpick_env.clutter import visible_fractions
+from binpick_env.config import CameraConfig, CellConfig, SensorPreset
+from binpick_env.outcomes import Delivery, DeliveryEvent, DeliveryJudge
+from binpick_env.parts import Part, load_part
+from binpick_env.perceiver import PoseNoise, View, make_perceiver
+from binpick_env.render import CellRenderer
+from binpick_env.robot import HOME
+from binpick_env.settle import drop_and_settle
+from binpick_env.simulation import CONTROL_PERIOD, Simulation
+from perception.frame import Frame, Workspace
+from perception.geometry import Floats, quat_from_matrix
+
+Observation = dict[str, NDArray[Any]]
+MAX_EPISODE_STEPS = 12_000
+HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home that counts as back, and as having left [rad]
+
+
+class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
+    """A UR5e with a parallel jaw picks identical parts out of a bin into a tray, 25 actions a second.
+
+    ## Action space
+    `Box(7,)` float32: absolute targets. They are rate-limited to the arm's velocity (180 deg/s).
+
+    | index | meaning | range |
+    | --- | --- | --- |
+    | 0 to 5 | joint positions, base to wrist [rad] | -2 pi to 2 pi (elbow -pi to pi) |
+    | 6 | gripper, 0 open to 1 closed | 0 to 1 |
+
+    ## Observation space
+    A flat `Dict` of float32 `Box`es.
+
+    | key | shape | meaning |
+    | --- | --- | --- |
+    | `joint_pos` | (6,) | [rad] |
+    | `joint_vel` | (6,) | [rad/s] |
+    | `gripper` | (1,) | 0 open to 1 closed, measured |
+    | `tcp_pose` | (7,) | tool centre point in the world, xyz [m] and wxyz |
+    | `frame_age` | (1,) | since the frame behind the candidates [s] |
+    | `candidates` | (32, 14) | seen parts (`binpick_env.candidates.FEATURES`), zero-padded |
+    | `candidate_mask` | (32,) int8 | 1 for rows that hold a candidate |
+    | `image`, `depth` | (H, W, 1) uint8 and (H, W, 1) float32 [m] | the last frame, with `obs_mode="rgbd"` only |
+
+    A frame is taken at reset and whenever the arm is back in its home zone, out of the camera's sight, after having
+    left it; `info["frame_id"]` rises with each. `env.unwrapped.look()` takes another, with fresh sensor noise.
+
+    ## Reward
+    +1 for each part delivered: released over the tray, at rest in it, and the only part that entered since the gripper
+    last opened. Judged parts are parked out of the tray.
+
+    ## Starting state
+    The arm at home with the gripper open; `num_parts` parts dropped in random attitudes, settled and asleep.
+
+    ## Episode end
+    Terminates when no part is left in play; truncates after 12 000 steps (480 s).
+    `info["success"]` and `info["is_success"]` tell whether every part was delivered.
+
+    ## Arguments
+    | name | default | meaning |
+    | --- | --- | --- |
+    | `part` | `"tee"` | catalogue name, path to an STL, OBJ or PLY file, or a loaded `Part` |
+    | `num_parts` | `(20, 30)` | number of parts, or the range it is drawn from |
+    | `perception` | `"oracle"` | `"oracle"`, `"gt_masks"` or `"learned"` |
+    | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"` |
+    | `camera` | `None` | a `CameraConfig` |
+    | `pose_noise` | `None` | a `PoseNoise` added by the oracle |
+    | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
+    | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts |
+    | `threads` | `None` | threads of the ray caster; all cores unless given |
+    | `render_mode` | `None` | `"rgb_array"`, `"depth_array"` (the camera's view) or `"human"` (MuJoCo's viewer) |
+
+    ## Versions
+    v0: first release.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["human", "rgb_array", "depth_array"],
+        "render_fps": round(1 / CONTROL_PERIOD),
+    }
+
+    def __init__(
+        self,
+        part: str | Part = "tee",
+        num_parts: int | tuple[int, int] = (20, 30),
+        perception: str = "oracle",
+        sensor: SensorPreset = "good",
+        camera: CameraConfig | None = None,
+        pose_noise: PoseNoise | None = None,
+        obs_mode: Literal["state", "rgbd"] = "state",
+        config: CellConfig | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        low, high = (num_parts, num_parts) if isinstance(num_parts, int) else num_parts
+        if not 1 <= low <= high:
+            raise ValueError(f"num_parts must be a positive number or a rising pair, got {num_parts}")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}")
+        if obs_mode not in ("state", "rgbd"):
+            raise ValueError(f"obs_mode must be 'state' or 'rgbd', got {obs_mode!r}")
+        self._perceiver = make_perceiver(perception, pose_noise)
+        self.config = config or CellConfig()
+        if camera is not None:
+            self.config = replace(self.config, camera=camera)
+        self.part = part if isinstance(part, Part) else load_part(part)
+        self.render_mode = render_mode
+        self.simulation = Simulation(self.config, self.part, high)
+        self.workspace: Workspace = self.config.bin.workspace()
+        self._num_parts = (low, high)
+        self._sensor = sensor
+        self._obs_mode = obs_mode
+        geoms = self.simulation.part_of_geom
+        self.camera = DepthCamera(self.simulation.model, self.config.camera, self.workspace, geoms, threads=threads)
+        self._renderer = CellRenderer(self.simulation)
+        self.capture: Capture | None = None
+        self.observation_space = self._observation_space()
+        self.action_space = self._action_space()
+
+    # --- Gymnasium -------------------------------------------------------------------------------------------------
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+        """Drop and settle a new pile. ``options={"num_parts": n}`` sets its size for this episode."""
+        super().reset(seed=seed)
+        low, high = self._num_parts
+        count = int(self.np_random.integers(low, high + 1))
+        count = int((options or {}).get("num_parts", count))
+        drop_and_settle(self.simulation, count, self.np_random)
+        self.simulation.data.time = 0.0
+        self._judge = DeliveryJudge(self.simulation, CONTROL_PERIOD)
+        self.events: list[DeliveryEvent] = []
+        self.total = count
+        self.delivered = 0
+        self._steps = 0
+        self._frame_id = -1
+        self._away = False
+        self._take_frame()
+        return self._observe(), self._info([])
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Advance by 0.04 s towards the targets of ``action``."""
+        action = np.asarray(action, dtype=np.float64)
+        if action.shape != (7,) or not np.all(np.isfinite(action)):
+            raise ValueError(f"action must be (7,) and finite, got {action}")
+        action = np.clip(action, self.action_space.low, self.action_space.high)
+        self.simulation.step(action[:6], float(action[6]))
+        self._steps += 1
+        events = self._judge.update(float(action[6]))
+        self.events.extend(events)
+        reward = float(sum(event.kind is Delivery.DELIVERED for event in events))
+        self.delivered += int(reward)
+        self._watch_home()
+        if self.render_mode == "human":
+            self._renderer.show()
+        return self._observe(), reward, self.remaining == 0, False, self._info(events)
+
+    def render(self) -> NDArray[Any] | None:  # type: ignore[override]
+        """Return a picture of the cell (`rgb_array`) or the camera's depth [m] (`depth_array`)."""
+        if self.render_mode == "rgb_array":
+            return self._renderer.picture()
+        if self.render_mode == "depth_array":
+            return self.camera.capture(self.simulation.data, np.random.default_rng(0), "none").frame.depth
+        return None
+
+    def close(self) -> None:
+        """Release the viewer and the GL context, if there were any."""
+        self._renderer.close()
+        self.camera.close()
+
+    # --- beyond Gymnasium ------------------------------------------------------------------------------------------
+
+    @property
+    def remaining(self) -> int:
+        """Number of parts in play: in the bin, in the gripper, in the tray but not judged yet."""
+        return int(self.simulation.in_play.sum())
+
+    @property
+    def frame(self) -> Frame:
+        """The last frame."""
+        if self.capture is None:
+            raise RuntimeError("there is no frame before the first reset()")
+        return self.capture.frame
+
+    @property
+    def frame_id(self) -> int:
+        """Number of frames taken in this episode, minus one."""
+        return self._frame_id
+
+    @property
+    def truncated(self) -> bool:
+        """Whether the episode has used up the steps that the registration allows; the wrapper truncates then."""
+        return self._steps >= MAX_EPISODE_STEPS
+
+    def look(self) -> Observation:
+        """Take another frame now, with fresh sensor noise, and return the observation."""
+        self._take_frame()
+        return self._observe()
+
+    # --- inside ----------------------------------------------------------------------------------------------------
+
+    def _take_frame(self) -> None:
+        simulation = self.simulation
+        self.capture = self.camera.capture(simulation.data, self.np_random, self._sensor)
+        poses = simulation.part_poses()
+        fractions = np.zeros(simulation.capacity)
+        in_play = np.flatnonzero(simulation.in_play)
+        counted = visible_fractions(self.capture, self.part.model.mesh, poses[in_play], in_play)
+        fractions[in_play] = counted
+        self.view = View(
+            capture=self.capture,
+            workspace=self.workspace,
+            part=self.part.model,
+            T_world_parts=poses,
+            visible_fractions=fractions,
+        )
+        self.candidates: list[PoseCandidate] = self._perceiver.perceive(self.view, self.np_random)[:MAX_CANDIDATES]
+        self._candidate_arrays = pad_candidates(self.candidates, self.workspace)
+        self._frame_id += 1
+        self._frame_time = simulation.time
+
+    def _watch_home(self) -> None:
+        distance = float(np.max(np.abs(self.simulation.joint_positions - HOME)))
+        if distance > AWAY:
+            self._away = True
+        elif distance < HOME_ZONE and self._away:
+            self._away = False
+            self._take_frame()
+
+    def _observe(self) -> Observation:
+        simulation = self.simulation
+        T_world_tcp: Floats = simulation.T_world_tcp
+        tcp_pose = np.concatenate([T_world_tcp[:3, 3], quat_from_matrix(T_world_tcp[:3, :3])])
+        rows, mask = self._candidate_arrays
+        values: Observation = {
+            "joint_pos": simulation.joint_positions,
+            "joint_vel": simulation.joint_velocities,
+            "gripper": np.array([simulation.gripper_position]),
+            "tcp_pose": tcp_pose,
+            "frame_age": np.array([simulation.time - self._frame_time]),
+            "candidates": rows.copy(),
+            "candidate_mask": mask.copy(),
+        }
+        if self._obs_mode == "rgbd":
+            values["image"] = self.frame.grey[..., None].copy()
+            values["depth"] = self.frame.depth[..., None].copy()
+        boxes = self.observation_space.spaces
+        return {k: np.clip(v, boxes[k].low, boxes[k].high).astype(boxes[k].dtype) for k, v in values.items()}
+
+    def _info(self, events: list[DeliveryEvent]) -> dict[str, Any]:
+        success = self.delivered == self.total
+        return {
+            "frame_id": self._frame_id,
+            "delivered": self.delivered,
+            "remaining": self.remaining,
+            "total": self.total,
+            "last_event": str(events[-1].kind) if events else "",
+            "success": success,
+            "is_success": success,
+        }
+
+    def _action_space(self) -> spaces.Box:
+        limits = self.simulation.model.actuator_ctrlrange[:6]
+        low, high = np.append(limits[:, 0], 0.0), np.append(limits[:, 1], 1.0)
+        return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+    def _observation_space(self) -> spaces.Dict:
+        def box(low: float, high: float, *shape: int, dtype: type = np.float32) -> spaces.Box:
+            return spaces.Box(low, high, shape=shape, dtype=dtype)
+
+        entries: dict[str, spaces.Space[Any]] = {
+            "joint_pos": box(-7.0, 7.0, 6),
+            "joint_vel": box(-20.0, 20.0, 6),
+            "gripper": box(0.0, 1.0, 1),
+            "tcp_pose": box(-3.0, 3.0, 7),
+            "frame_age": box(0.0, 1e6, 1),
+            "candidates": box(-10.0, 10.0, MAX_CANDIDATES, len(FEATURES)),
+            "candidate_mask": box(0, 1, MAX_CANDIDATES, dtype=np.int8),
+        }
+        if self._obs_mode == "rgbd":
+            height, width = self.config.camera.height, self.config.camera.width
+            entries["image"] = box(0, 255, height, width, 1, dtype=np.uint8)
+            entries["depth"] = box(0.0, 10.0, height, width, 1)
+        return spaces.Dict(entries)

@@ -1,0 +1,130 @@
+"""The observation pipeline behind one Protocol: from what the camera saw to pose candidates."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from binpick_env.camera import Capture
+from binpick_env.candidates import PoseCandidate
+from perception.frame import Workspace
+from perception.geometry import Floats, rotation_about, transform_points
+from perception.part import PartModel
+
+Perception = Literal["oracle", "gt_masks", "learned"]
+OFFERED_FROM = 0.3  # visible_fraction from which the oracle shows a part
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class View:
+    """One exposure, with the truth beside it for the perceivers that are allowed to see it.
+
+    Attributes:
+        capture: Frame and true instance ids.
+        workspace: The bin.
+        part: What lies in it.
+        T_world_parts: (N, 4, 4) true poses.
+        visible_fractions: (N,) true, 0 for parts out of play.
+    """
+
+    capture: Capture
+    workspace: Workspace
+    part: PartModel
+    T_world_parts: Floats
+    visible_fractions: NDArray[np.float64]
+
+
+class Perceiver(Protocol):
+    """Turns a view into pose candidates."""
+
+    def perceive(self, view: View, rng: np.random.Generator) -> list[PoseCandidate]:
+        """Return the seen parts, best first."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseNoise:
+    """Gaussian error added to true poses.
+
+    Attributes:
+        translation: Standard deviation per axis [m].
+        rotation: Standard deviation of the angle about a random axis [rad].
+    """
+
+    translation: float = 0.0
+    rotation: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.translation < 0 or self.rotation < 0:
+            raise ValueError(f"noise must not be negative, got {self.translation} m and {self.rotation} rad")
+
+
+class OraclePerceiver:
+    """True poses of the parts that are visible enough, with pose noise of a stated size where wanted."""
+
+    def __init__(self, noise: PoseNoise | None = None, offered_from: float = OFFERED_FROM) -> None:
+        self._noise = noise or PoseNoise()
+        self._offered_from = offered_from
+
+    def perceive(self, view: View, rng: np.random.Generator) -> list[PoseCandidate]:
+        """Return a candidate for each part of sufficient visible_fraction, the most visible first."""
+        order = np.argsort(-view.visible_fractions, kind="stable")
+        seen = [int(i) for i in order if view.visible_fractions[i] >= self._offered_from]
+        return [self._candidate(view, i, rng) for i in seen]
+
+    def _candidate(self, view: View, i: int, rng: np.random.Generator) -> PoseCandidate:
+        T_world_part = view.T_world_parts[i].copy()
+        if self._noise.translation > 0:
+            T_world_part[:3, 3] += self._noise.translation * rng.normal(size=3)
+        if self._noise.rotation > 0:
+            turn = rotation_about(rng.normal(size=3), self._noise.rotation * rng.normal())
+            # About the part's centre, so that a rotation error moves nothing but the rotation.
+            arm = T_world_part[:3, :3] @ view.part.centre
+            T_world_part[:3, 3] += arm - turn @ arm
+            T_world_part[:3, :3] = turn @ T_world_part[:3, :3]
+        fraction = float(view.visible_fractions[i])
+        return make_candidate(view, T_world_part, score=1.0, visible_fraction=fraction, fill=fraction, part=i)
+
+
+def make_candidate(
+    view: View, T_world_part: Floats, *, score: float, visible_fraction: float, fill: float, part: int = -1
+) -> PoseCandidate:
+    """Complete a pose to a candidate with its centre and its highest point."""
+    points_world = transform_points(T_world_part, np.asarray(view.part.mesh.vertices))
+    return PoseCandidate(
+        T_world_part=T_world_part,
+        centre_world=transform_points(T_world_part, view.part.centre[None])[0],
+        score=score,
+        visible_fraction=visible_fraction,
+        top=float(view.workspace.to_bin(points_world)[:, 2].max()),
+        fill=fill,
+        part=part,
+    )
+
+
+def _missing(mode: str, lacks: str) -> Callable[[PoseNoise | None], Perceiver]:
+    def refuse(noise: PoseNoise | None) -> Perceiver:
+        raise NotImplementedError(f"perception={mode!r} needs {lacks}, which this version lacks; use perception='oracle'")
+
+    return refuse
+
+
+_PERCEIVERS: dict[str, Callable[[PoseNoise | None], Perceiver]] = {
+    "oracle": OraclePerceiver,
+    "gt_masks": _missing("gt_masks", "the pose estimator PPF-MEAM"),
+    "learned": _missing("learned", "the segmentation network and the pose estimator PPF-MEAM"),
+}
+
+
+def make_perceiver(mode: str, noise: PoseNoise | None = None) -> Perceiver:
+    """Build the perceiver called ``mode``; ``noise`` is the oracle's.
+
+    Raises:
+        ValueError: There is no such mode.
+        NotImplementedError: The mode is named in the contract but not built yet; the text says what it lacks.
+    """
+    if mode not in _PERCEIVERS:
+        raise ValueError(f"perception must be one of {', '.join(_PERCEIVERS)}, got {mode!r}")
+    return _PERCEIVERS[mode](noise)

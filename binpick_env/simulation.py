@@ -1,0 +1,223 @@
+"""The physics of the cell: owns MjModel and MjData, drops piles, moves the arm, answers questions about parts."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from binpick_env.config import CellConfig
+from binpick_env.parts import Part
+from binpick_env.robot import ARM_JOINTS, FINGER_PADS, GRIPPER, GRIPPER_ACTUATOR, HOME, TCP_SITE
+from binpick_env.scene import BIN_BODY, PART, TABLE_GEOM, TRAY_BODY, cell_spec, parking_poses
+from perception.geometry import Floats, make_transform, matrix_from_quat, quat_from_matrix
+
+CONTROL_PERIOD = 0.04  # of the environment [s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Push:
+    """Contact of the robot with something.
+
+    Attributes:
+        force: Summed magnitude of the contact forces [N].
+        with_cell: Whether bin, tray or table is among what is touched.
+        parts: Indices of the touched parts.
+    """
+
+    force: float
+    with_cell: bool
+    parts: frozenset[int]
+
+
+class Simulation:
+    """One cell with room for ``capacity`` copies of a part; the parts out of play hang parked, weightless and asleep."""
+
+    def __init__(self, config: CellConfig, part: Part, capacity: int) -> None:
+        self.config = config
+        self.part = part
+        self.capacity = capacity
+        spec = cell_spec(config, part, capacity)
+        spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+        spec.option.sleep_tolerance = config.contact.sleep_tolerance
+        self.model: mujoco.MjModel = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self._index()
+        self._parking = parking_poses(capacity)
+        self.substeps = round(CONTROL_PERIOD / self.model.opt.timestep)
+        self.reset()
+
+    def _index(self) -> None:
+        model = self.model
+        self._part_body = np.array([model.body(f"{PART}{i}").id for i in range(self.capacity)])
+        joints = [model.joint(f"{PART}{i}") for i in range(self.capacity)]
+        self._part_qpos = np.array([j.qposadr[0] for j in joints])[:, None] + np.arange(7)
+        self._part_dof = np.array([j.dofadr[0] for j in joints])[:, None] + np.arange(6)
+        self._part_tree = model.body_treeid[self._part_body]
+        part_of_body = np.full(model.nbody, -1)
+        part_of_body[self._part_body] = np.arange(self.capacity)
+        self.part_of_geom: NDArray[np.int64] = part_of_body[model.geom_bodyid]
+        robot = model.body_rootid == model.body("base").id
+        self._is_robot_geom = robot[model.geom_bodyid]
+        cell = {model.body(BIN_BODY).id, model.body(TRAY_BODY).id}
+        self._is_cell_geom = np.isin(model.geom_bodyid, list(cell))
+        self._is_cell_geom[model.geom(TABLE_GEOM).id] = True
+        self._pads = [[model.geom(name).id for name in side] for side in FINGER_PADS]
+        self._arm_qpos = np.array([model.joint(name).qposadr[0] for name in ARM_JOINTS])
+        self._arm_dof = np.array([model.joint(name).dofadr[0] for name in ARM_JOINTS])
+        self._gripper_actuator = model.actuator(GRIPPER_ACTUATOR).id
+        self._driver_qpos = model.joint(GRIPPER + "right_driver_joint").qposadr[0]
+        self._driver_range = model.joint(GRIPPER + "right_driver_joint").range[1]
+        self._tcp = model.site(TCP_SITE).id
+        # Feeding the target's velocity forward through the servo's own damping cancels its lag of kv / kp (0.2 s).
+        self._lag = -model.actuator_biasprm[:6, 2] / model.actuator_gainprm[:6, 0]
+
+    # --- state -----------------------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Put the arm home with the gripper open, and park every part."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self._arm_qpos] = HOME
+        self.data.ctrl[:6] = HOME
+        self.in_play: NDArray[np.bool_] = np.zeros(self.capacity, dtype=bool)
+        self.target = HOME.copy()
+        self.target_velocity = np.zeros(6)
+        self.gripper_target = 0.0
+        for i in range(self.capacity):
+            self.park(i)
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return float(self.data.time)
+
+    @property
+    def joint_positions(self) -> Floats:
+        """(6,) arm joints [rad]."""
+        return self.data.qpos[self._arm_qpos].copy()
+
+    @property
+    def joint_velocities(self) -> Floats:
+        """(6,) arm joints [rad/s]."""
+        return self.data.qvel[self._arm_dof].copy()
+
+    @property
+    def gripper_position(self) -> float:
+        """How far the jaw is closed: 0 open, 1 closed."""
+        return float(np.clip(self.data.qpos[self._driver_qpos] / self._driver_range, 0.0, 1.0))
+
+    @property
+    def T_world_tcp(self) -> Floats:
+        """(4, 4) pose of the tool centre point."""
+        return make_transform(self.data.site_xmat[self._tcp].reshape(3, 3), self.data.site_xpos[self._tcp])
+
+    def part_poses(self) -> Floats:
+        """Return the (capacity, 4, 4) world poses of the part frames."""
+        qpos = self.data.qpos[self._part_qpos]
+        poses = np.zeros((self.capacity, 4, 4))
+        poses[:, :3, :3] = matrix_from_quat(qpos[:, 3:])
+        poses[:, :3, 3] = qpos[:, :3]
+        poses[:, 3, 3] = 1.0
+        return poses
+
+    def part_centres(self) -> Floats:
+        """Return the (capacity, 3) world positions of the parts' centres."""
+        poses = self.part_poses()
+        return poses[:, :3, :3] @ self.part.model.centre + poses[:, :3, 3]
+
+    def part_speeds(self) -> Floats:
+        """Return per part the larger of its speed [m/s] and its rim's speed from rotation [m/s]; 0 when asleep."""
+        velocity = self.data.qvel[self._part_dof]
+        spin = np.linalg.norm(velocity[:, 3:], axis=1) * self.part.model.d_max / 2
+        return np.maximum(np.linalg.norm(velocity[:, :3], axis=1), spin)
+
+    def asleep(self) -> NDArray[np.bool_]:
+        """Return the (capacity,) mask of sleeping parts."""
+        return self.data.tree_asleep[self._part_tree] >= 0
+
+    # --- parts -----------------------------------------------------------------------------------------------------
+
+    def place(self, i: int, T_world_part: Floats) -> None:
+        """Put part ``i`` into play at a pose, at rest."""
+        self._move(i, T_world_part)
+        self.model.body_gravcomp[self._part_body[i]] = 0.0
+        self.in_play[i] = True
+
+    def park(self, i: int) -> None:
+        """Take part ``i`` out of play."""
+        self._move(i, self._parking[i])
+        self.model.body_gravcomp[self._part_body[i]] = 1.0
+        self.in_play[i] = False
+
+    def _move(self, i: int, T_world_part: Floats) -> None:
+        # A changed qpos wakes a sleeping tree, and all that sleep in one island with it, at the next step.
+        self.data.qpos[self._part_qpos[i]] = [*T_world_part[:3, 3], *quat_from_matrix(T_world_part[:3, :3])]
+        self.data.qvel[self._part_dof[i]] = 0.0
+        self.data.qacc_warmstart[self._part_dof[i]] = 0.0
+
+    # --- motion ----------------------------------------------------------------------------------------------------
+
+    def step(self, joint_targets: Floats, gripper: float) -> None:
+        """Advance by one control period.
+
+        Args:
+            joint_targets: (6,) arm joint positions to be reached at the period's end [rad]; the change from the last
+                target is held to the arm's velocity.
+            gripper: 0 open to 1 closed; held to the jaw's speed.
+        """
+        reach = self.config.robot.max_velocity * CONTROL_PERIOD
+        goal = self.target + np.clip(joint_targets - self.target, -reach, reach)
+        velocity = (goal - self.target) / CONTROL_PERIOD
+        stroke = CONTROL_PERIOD / self.config.robot.gripper_time
+        closed = self.gripper_target + float(np.clip(gripper - self.gripper_target, -stroke, stroke))
+        low, high = self.model.actuator_ctrlrange[:6].T
+        for k in range(1, self.substeps + 1):
+            blend = k / self.substeps
+            ramp = self.target_velocity + blend * (velocity - self.target_velocity)
+            jaw = self.gripper_target + blend * (closed - self.gripper_target)
+            self.data.ctrl[self._gripper_actuator] = 255.0 * jaw
+            self.data.ctrl[:6] = np.clip(self.target + blend * (goal - self.target) + self._lag * ramp, low, high)
+            mujoco.mj_step(self.model, self.data)
+        self.target, self.target_velocity, self.gripper_target = goal, velocity, closed
+        self._check_finite()
+
+    def _check_finite(self) -> None:
+        if not (np.all(np.isfinite(self.data.qpos)) and np.all(np.isfinite(self.data.qvel))):
+            raise FloatingPointError(f"the physics diverged at t = {self.time:.3f} s (NaN in the state)")
+
+    # --- contacts --------------------------------------------------------------------------------------------------
+
+    def robot_push(self) -> Push:
+        """Return what the robot touches now, its own links left out, and how hard."""
+        force, with_cell, parts = 0.0, False, set()
+        wrench = np.zeros(6)
+        for c in range(self.data.ncon):
+            g1, g2 = self.data.contact.geom[c]
+            if self._is_robot_geom[g1] == self._is_robot_geom[g2]:
+                continue
+            other = g2 if self._is_robot_geom[g1] else g1
+            mujoco.mj_contactForce(self.model, self.data, c, wrench)
+            force += float(np.linalg.norm(wrench[:3]))
+            with_cell |= bool(self._is_cell_geom[other])
+            if self.part_of_geom[other] >= 0:
+                parts.add(int(self.part_of_geom[other]))
+        return Push(force=force, with_cell=with_cell, parts=frozenset(parts))
+
+    def touched_by_gripper(self) -> NDArray[np.bool_]:
+        """Return the (capacity,) mask of parts that touch any link of the robot."""
+        pairs = self.data.contact.geom[: self.data.ncon]
+        robot = self._is_robot_geom[pairs]
+        touched = np.zeros(self.capacity, dtype=bool)
+        partners = self.part_of_geom[pairs[robot[:, ::-1]]]
+        touched[partners[partners >= 0]] = True
+        return touched
+
+    def gripped(self) -> frozenset[int]:
+        """Return the parts that both finger pads touch."""
+        touched: list[set[int]] = []
+        pairs = self.data.contact.geom[: self.data.ncon]
+        for pads in self._pads:
+            partners = np.concatenate([pairs[np.isin(pairs[:, 0], pads), 1], pairs[np.isin(pairs[:, 1], pads), 0]])
+            touched.append({int(p) for p in self.part_of_geom[partners] if p >= 0})
+        return frozenset(touched[0] & touched[1])
