@@ -1,14 +1,14 @@
 """Every setting of the cell, as frozen dataclasses. Lengths [m], angles [rad], times [s], world frame unless said."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from perception.frame import Workspace
 from perception.geometry import make_transform, rotation_about
 
-Backend = Literal["rays", "egl"]
+Backend = Literal["rays", "egl", "raster"]
 SensorPreset = Literal["none", "good", "harsh"]
 
 
@@ -54,13 +54,15 @@ class CameraConfig:
     height: int = 960  # [px]
     focal: float = 2400.0  # [px] at 1280 wide; scaled with `width`
     distance: float = 0.9  # from the bin's floor [m]
-    backend: Backend = "rays"  # "rays": mj_multiRay, the reference, needs no GL; "egl": faster where a GL driver exists
+    backend: Backend = "rays"  # "rays" is the reference; "raster" draws the same, faster; "egl" needs a GL driver
 
     def __post_init__(self) -> None:
-        _require(self.width >= 16 and self.height >= 16, f"the image must be at least 16 x 16, got {self.width} x {self.height}")
+        size = f"{self.width} x {self.height}"
+        _require(self.width >= 16 and self.height >= 16, f"the image must be at least 16 x 16, got {size}")
         _require(self.focal > 0, f"focal must be positive, got {self.focal}")
         _require(self.distance > 0.2, f"distance must exceed 0.2 m, got {self.distance}")
-        _require(self.backend in ("rays", "egl"), f"backend must be 'rays' or 'egl', got {self.backend!r}")
+        known = get_args(Backend)
+        _require(self.backend in known, f"backend must be one of {', '.join(known)}, got {self.backend!r}")
 
     @property
     def focal_px(self) -> float:
@@ -74,7 +76,7 @@ class RobotConfig:
 
     pedestal_height: float = 0.15  # of the arm's base above the table [m]
     max_velocity: float = np.pi  # of every joint [rad/s]: the UR5e's data sheet, 180 deg/s
-    max_acceleration: float = 12.0  # of every joint [rad/s^2]; the drives' torque limits allow more near the base
+    max_acceleration: float = 8.0  # of every joint [rad/s^2]; the drives' torque limits allow more near the base
     gripper_time: float = 0.57  # for the jaw's whole stroke [s]: the 2F-85's data sheet, 150 mm/s
 
 

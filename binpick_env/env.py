@@ -1,5 +1,6 @@
 """``BinPick-v0``: a robot cell that empties a bin."""
 
+import time
 from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
@@ -201,6 +202,10 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Whether the episode has used up the steps that the registration allows; the wrapper truncates then."""
         return self._steps >= MAX_EPISODE_STEPS
 
+    def unjudged(self) -> bool:
+        """Whether a part that nothing holds is out of the bin and has not been judged yet."""
+        return bool(self._judge.loose().any())
+
     def look(self) -> Observation:
         """Take another frame now, with fresh sensor noise, and return the observation."""
         self._take_frame()
@@ -210,12 +215,11 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _take_frame(self) -> None:
         simulation = self.simulation
+        started = time.perf_counter()
         self.capture = self.camera.capture(simulation.data, self.np_random, self._sensor)
         poses = simulation.part_poses()
-        fractions = np.zeros(simulation.capacity)
-        in_play = np.flatnonzero(simulation.in_play)
-        counted = visible_fractions(self.capture, self.part.model.mesh, poses[in_play], in_play)
-        fractions[in_play] = counted
+        rendered = time.perf_counter()
+        fractions = visible_fractions(self.capture, self.part.model.mesh, poses) * simulation.in_play
         self.view = View(
             capture=self.capture,
             workspace=self.workspace,
@@ -224,6 +228,8 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
             visible_fractions=fractions,
         )
         self.candidates: list[PoseCandidate] = self._perceiver.perceive(self.view, self.np_random)[:MAX_CANDIDATES]
+        self.render_time = rendered - started
+        self.perception_time = time.perf_counter() - rendered
         self._candidate_arrays = pad_candidates(self.candidates, self.workspace)
         self._frame_id += 1
         self._frame_time = simulation.time

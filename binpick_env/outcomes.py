@@ -61,6 +61,12 @@ class DeliveryJudge:
         """Return the (capacity,) mask of parts in play whose centre is in the tray, up to its rim."""
         return self._simulation.in_play & self._tray.contains(self._simulation.part_centres())
 
+    def loose(self) -> NDArray[np.bool_]:
+        """Return the (capacity,) mask of parts in play that are neither in the bin nor touched by the gripper."""
+        simulation = self._simulation
+        in_bin = self._bin.contains(simulation.part_centres(), headroom=float(self._bin.inner_size[2]))
+        return simulation.in_play & ~in_bin & ~simulation.touched_by_gripper()
+
     def update(self, gripper: float) -> list[DeliveryEvent]:
         """Judge after one control period.
 
@@ -83,7 +89,7 @@ class DeliveryJudge:
                 self._unreleased.add(int(i))
             if is_open:
                 self._entered.add(int(i))
-        return [*self._judge_tray(in_tray), *self._judge_lost(in_tray, held)]
+        return [*self._judge_tray(in_tray), *self._judge_lost(in_tray)]
 
     def _judge_tray(self, in_tray: NDArray[np.bool_]) -> list[DeliveryEvent]:
         """Judge a release once all its parts are at rest in the tray (or have left it again)."""
@@ -103,11 +109,9 @@ class DeliveryJudge:
             events.append(self._retire(i, kind))
         return events
 
-    def _judge_lost(self, in_tray: NDArray[np.bool_], held: NDArray[np.bool_]) -> list[DeliveryEvent]:
-        simulation = self._simulation
-        in_bin = self._bin.contains(simulation.part_centres(), headroom=float(self._bin.inner_size[2]))
-        z = simulation.part_centres()[:, 2]
-        stray = simulation.in_play & ~in_bin & ~in_tray & ~held & ((self._still > 0) | (z < 0.0))
+    def _judge_lost(self, in_tray: NDArray[np.bool_]) -> list[DeliveryEvent]:
+        z = self._simulation.part_centres()[:, 2]
+        stray = self.loose() & ~in_tray & ((self._still > 0) | (z < 0.0))
         self._outside = np.where(stray, self._outside + self._period, 0.0)
         return [self._retire(int(i), Delivery.LEFT_BIN) for i in np.flatnonzero(self._outside >= LOST_AFTER)]
 

@@ -67,8 +67,8 @@ def robot_spec(config: RobotConfig) -> mujoco.MjSpec:
     half = config.pedestal_height / 2
     spec.worldbody.add_geom(
         name="pedestal",
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[0.09, half, 0],
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[0.09, 0.09, half],
         pos=[0, 0, half],
         rgba=[0.25, 0.25, 0.27, 1],
         group=2,

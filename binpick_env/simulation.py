@@ -69,8 +69,10 @@ class Simulation:
         self._driver_qpos = model.joint(GRIPPER + "right_driver_joint").qposadr[0]
         self._driver_range = model.joint(GRIPPER + "right_driver_joint").range[1]
         self._tcp = model.site(TCP_SITE).id
-        # Feeding the target's velocity forward through the servo's own damping cancels its lag of kv / kp (0.2 s).
-        self._lag = -model.actuator_biasprm[:6, 2] / model.actuator_gainprm[:6, 0]
+        # The servo's torque is kp (ctrl - q) - kv qd. Feeding the target's velocity forward cancels its lag of kv / kp
+        # (0.2 s), feeding the links' inertia forward what is left (15 mrad at 10 rad/s^2), as a real controller does.
+        self._stiffness = model.actuator_gainprm[:6, 0]
+        self._lag = -model.actuator_biasprm[:6, 2] / self._stiffness
 
     # --- state -----------------------------------------------------------------------------------------------------
 
@@ -81,7 +83,7 @@ class Simulation:
         self.data.ctrl[:6] = HOME
         self.in_play: NDArray[np.bool_] = np.zeros(self.capacity, dtype=bool)
         self.target = HOME.copy()
-        self.target_velocity = np.zeros(6)
+        self._target_before = HOME.copy()
         self.gripper_target = 0.0
         for i in range(self.capacity):
             self.park(i)
@@ -168,19 +170,37 @@ class Simulation:
         """
         reach = self.config.robot.max_velocity * CONTROL_PERIOD
         goal = self.target + np.clip(joint_targets - self.target, -reach, reach)
-        velocity = (goal - self.target) / CONTROL_PERIOD
-        stroke = CONTROL_PERIOD / self.config.robot.gripper_time
-        closed = self.gripper_target + float(np.clip(gripper - self.gripper_target, -stroke, stroke))
-        low, high = self.model.actuator_ctrlrange[:6].T
+        velocity_before = (self.target - self._target_before) / CONTROL_PERIOD
+        velocity_after = (goal - self.target) / CONTROL_PERIOD
+        acceleration = (velocity_after - velocity_before) / CONTROL_PERIOD
+        inertial = self._inertial_torque(acceleration) / self._stiffness
+        jaw_from, jaw_to = self._jaw_ramp(gripper)
         for k in range(1, self.substeps + 1):
-            blend = k / self.substeps
-            ramp = self.target_velocity + blend * (velocity - self.target_velocity)
-            jaw = self.gripper_target + blend * (closed - self.gripper_target)
-            self.data.ctrl[self._gripper_actuator] = 255.0 * jaw
-            self.data.ctrl[:6] = np.clip(self.target + blend * (goal - self.target) + self._lag * ramp, low, high)
+            s = k / self.substeps
+            # A uniform quadratic B-spline through the targets: smooth in velocity, half a control period late.
+            blend = 0.5 * np.array([(1 - s) ** 2, 1 + 2 * s - 2 * s**2, s**2])
+            reference = blend @ np.stack([self._target_before, self.target, goal])
+            velocity = velocity_before + s * (velocity_after - velocity_before)
+            self.data.ctrl[:6] = reference + self._lag * velocity + inertial
+            self.data.ctrl[self._gripper_actuator] = 255.0 * (jaw_from + s * (jaw_to - jaw_from))
             mujoco.mj_step(self.model, self.data)
-        self.target, self.target_velocity, self.gripper_target = goal, velocity, closed
+        self._target_before, self.target, self.gripper_target = self.target, goal, jaw_to
         self._check_finite()
+
+    def _inertial_torque(self, acceleration: Floats) -> Floats:
+        """Return the (6,) torques that accelerate the arm's links by (6,) joint accelerations [rad/s^2]."""
+        joint_acceleration = np.zeros(self.model.nv)
+        joint_acceleration[self._arm_dof] = acceleration
+        torque = np.zeros(self.model.nv)
+        mujoco.mj_mulM(self.model, self.data, torque, joint_acceleration)
+        return torque[self._arm_dof]
+
+    def _jaw_ramp(self, gripper: float) -> tuple[float, float]:
+        """Return the jaw's target at the period's start and end; opening begins where the jaw is, not where it squeezes to."""
+        stroke = CONTROL_PERIOD / self.config.robot.gripper_time
+        goal = float(np.clip(gripper, 0.0, 1.0))
+        start = min(self.gripper_target, self.gripper_position) if goal < self.gripper_target else self.gripper_target
+        return start, start + float(np.clip(goal - start, -stroke, stroke))
 
     def _check_finite(self) -> None:
         if not (np.all(np.isfinite(self.data.qpos)) and np.all(np.isfinite(self.data.qvel))):

@@ -1,0 +1,60 @@
+"""Arrays that are slow to compute and depend on nothing but their key, kept in the user's cache folder."""
+
+import hashlib
+import logging
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import platformdirs
+from numpy.typing import NDArray
+
+_log = logging.getLogger(__name__)
+Arrays = Mapping[str, NDArray[Any]]
+
+
+def cache_folder() -> Path:
+    """Return where results are kept: ``$BINPICK_CACHE``, else the platform's cache folder for this user."""
+    return Path(os.environ.get("BINPICK_CACHE") or platformdirs.user_cache_dir("binpick"))
+
+
+def digest(*contents: object) -> str:
+    """Return a sha256 over arrays (shape, dtype and bytes) and everything else's ``repr``."""
+    total = hashlib.sha256()
+    for content in contents:
+        if isinstance(content, np.ndarray):
+            total.update(f"{content.shape}{content.dtype}".encode() + np.ascontiguousarray(content).tobytes())
+        else:
+            total.update(repr(content).encode())
+        total.update(b"\0")
+    return total.hexdigest()
+
+
+def cached_arrays(kind: str, key: str, compute: Callable[[], Arrays]) -> Arrays:
+    """Return the arrays stored for ``kind`` and ``key``, or compute and store them.
+
+    Note:
+        Written to a temporary file and renamed, so that parallel workers never read half a file. An unreadable file is
+        computed anew; a folder that cannot be written costs time and a warning only.
+    """
+    path = cache_folder() / f"{kind}-{key}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        _log.warning("cannot read %s (%s): computing it anew", path, error)
+    arrays = compute()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+            np.savez(file, **dict(arrays))
+        Path(file.name).replace(path)
+    except OSError as error:
+        _log.warning("cannot write %s: %s", path, error)
+    return arrays

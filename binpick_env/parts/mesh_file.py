@@ -1,0 +1,122 @@
+"""Read a part's mesh from a file: unit, repair, and the checks that a simulated part must pass."""
+
+import logging
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+import trimesh
+
+from perception.part import diameter
+
+log = logging.getLogger(__name__)
+Unit = Literal["m", "mm", "cm", "inch"]
+METRES: dict[str, float] = {"m": 1.0, "mm": 0.001, "cm": 0.01, "inch": 0.0254}
+SUFFIXES = (".stl", ".obj", ".ply")
+PLAUSIBLE = (0.01, 0.25)  # d_max of a part when the unit is guessed [m]
+D_MAX = (0.02, 0.2)  # d_max accepted [m]: below, the camera sees too few points; above, no bin of the cell holds a pile
+MAX_FACES = 200_000  # beyond, ray casting and the symmetry search take minutes
+JAW = 0.075  # widest side that the 2F-85 closes on [m]: 85 mm less 5 mm on each side for the pose's error
+
+
+def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
+    """Read a watertight mesh with outward normals in metres, in the file's own frame.
+
+    Args:
+        path: STL, OBJ or PLY file.
+        unit: Of its coordinates; None takes metres if ``d_max`` is then 0.01 to 0.25 m, else millimetres likewise.
+
+    Returns:
+        The mesh, repaired where merging vertices, filling small holes and turning normals was enough.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it cannot be read, is empty, open, too large, too small or too fine, or if its unit is unclear.
+    """
+    mesh = _parse(path)
+    size = diameter(mesh.vertices)
+    scale = METRES[_checked(unit)] if unit is not None else _guessed_scale(path, size)
+    if not D_MAX[0] <= size * scale <= D_MAX[1]:
+        raise ValueError(
+            f"the largest diameter of {path} must be {D_MAX[0]} to {D_MAX[1]} m, got {size * scale:.4g} m "
+            f"({size:.4g} in the file's unit, taken as {scale:g} m); {_readings(size)}"
+        )
+    mesh.apply_transform(np.diag([scale, scale, scale, 1.0]))
+    _repair(mesh, path)
+    side = float(min(mesh.bounding_box_oriented.extents))
+    if side > JAW:
+        log.warning(
+            "no side of %s is under %.0f mm (the smallest: %.0f mm): the jaw cannot grasp it",
+            path,
+            JAW * 1e3,
+            side * 1e3,
+        )
+    return mesh
+
+
+def _parse(path: Path) -> trimesh.Trimesh:
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"a part's file must end in {', '.join(SUFFIXES)}, got {path}")
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no part file {path}")
+    try:
+        mesh = trimesh.load_mesh(path)
+    except Exception as error:  # the readers raise whatever their parsing meets
+        raise ValueError(f"{path} cannot be read as a {path.suffix} mesh: {error}") from error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise ValueError(f"{path} holds no triangles")
+    if len(mesh.faces) > MAX_FACES:
+        raise ValueError(
+            f"a part may have up to {MAX_FACES} faces, {path} has {len(mesh.faces)}: simplify it first, for instance "
+            "with MeshLab's quadric edge collapse or trimesh's simplify_quadric_decimation; 20000 faces are plenty"
+        )
+    if not np.all(np.isfinite(mesh.vertices)):
+        raise ValueError(f"{path} has vertices that are not finite")
+    return mesh
+
+
+def _checked(unit: str) -> str:
+    if unit not in METRES:
+        raise ValueError(f"unit must be one of {', '.join(get_args(Unit))}, got {unit!r}")
+    return unit
+
+
+def _guessed_scale(path: Path, size: float) -> float:
+    """Return metres per file unit: a file names none, and a part's size leaves little doubt."""
+    for unit in ("m", "mm"):
+        if PLAUSIBLE[0] <= size * METRES[unit] <= PLAUSIBLE[1]:
+            if unit == "mm":
+                log.info("%s is taken to be in millimetres: its largest diameter is %.4g", path, size)
+            return METRES[unit]
+    raise ValueError(
+        f"the unit of {path} is unclear: its largest diameter is {size:.4g}, and a part's should be {PLAUSIBLE[0]} to "
+        f"{PLAUSIBLE[1]} m; pass unit=, {_readings(size)}"
+    )
+
+
+def _readings(size: float) -> str:
+    return "which would make it " + ", ".join(f"{size * scale:.3g} m as {unit!r}" for unit, scale in METRES.items())
+
+
+def _repair(mesh: trimesh.Trimesh, path: Path) -> None:
+    """Close and orient ``mesh`` in place, or say what is still open."""
+    if not mesh.is_watertight:
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+        mesh.fill_holes()
+        if mesh.is_watertight:
+            log.warning("%s was not watertight; merging vertices and filling holes closed it", path)
+    if not mesh.is_watertight:
+        counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
+        lone, crowded = int(np.sum(counts == 1)), int(np.sum(counts > 2))
+        raise ValueError(
+            f"the mesh of {path} must be watertight (every edge shared by two faces): after repair "
+            f"{lone} of {len(counts)} edges are open and {crowded} are shared by three faces or more"
+        )
+    mesh.fix_normals()
+    if mesh.volume < 0:
+        mesh.invert()
+    if not mesh.is_volume:
+        raise ValueError(
+            f"the mesh of {path} must enclose a volume, got {mesh.volume:.3g} m^3 with inconsistent normals"
+        )

@@ -1,0 +1,198 @@
+"""The main job as a pure function: one configuration and one index give one bin's record."""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from binpick_env.config import CameraConfig, SensorPreset
+from binpick_env.env import BinPickEnv
+from binpick_env.parts import load_part
+from binpick_env.perceiver import Perception, PoseNoise, make_perceiver
+from policies.episode import Picker, run_bin
+from policies.outcomes import PickResult
+from policies.pictures import Album
+from policies.provenance import git_commit
+from policies.records import BinRecord
+from policies.scripted import PickerSettings, ScriptedPicker
+from policies.video import Film, WatchedEnv
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationConfig:
+    """What a bin's record depends on, and nothing else: not how many bins there are, nor who computes them."""
+
+    part: str = "tee"  # catalogue name, or path to an STL, OBJ or PLY file
+    seed: int = 0  # of the whole evaluation; see `bin_seed`
+    perception: Perception = "oracle"
+    sensor: SensorPreset = "good"
+    num_parts: tuple[int, int] = (20, 30)  # smallest and largest fill of a bin
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    pose_noise: PoseNoise = field(default_factory=PoseNoise)  # added by the oracle
+    picker: PickerSettings = field(default_factory=PickerSettings)
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ValueError(f"seed must not be negative, got {self.seed}")
+        low, high = self.num_parts
+        if not 1 <= low <= high:
+            raise ValueError(f"num_parts must be a rising pair from 1, got {self.num_parts}")
+
+    def digest(self) -> str:
+        """Return a hash of every setting, and of the part file's contents where the part is a file."""
+        values = asdict(self)
+        path = Path(self.part)
+        if path.suffix and path.is_file():
+            values["part"] = hashlib.sha256(path.read_bytes()).hexdigest()
+        return hashlib.sha256(json.dumps(values, sort_keys=True, default=repr).encode()).hexdigest()[:16]
+
+    def check(self) -> None:
+        """Load what the configuration names, before any worker starts.
+
+        Raises:
+            ValueError: There is no such part or perception mode, or the part's file is not usable.
+            NotImplementedError: The perception mode is not built yet.
+            FileNotFoundError: The part's file does not exist.
+        """
+        make_perceiver(self.perception, self.pose_noise)
+        load_part(self.part)
+
+
+class BinError(RuntimeError):
+    """A bin could not be evaluated; the text names its index and seed."""
+
+
+class Cell(NamedTuple):
+    """An environment and the picker that acts on it."""
+
+    env: BinPickEnv
+    picker: Picker
+
+
+CellMaker = Callable[[EvaluationConfig], Cell]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extras:
+    """What else is made of a bin; none of it changes the record's numbers."""
+
+    pictures: Path | None = None  # folder for pictures of the bin and its failures
+    video: Path | None = None  # mp4 file to film the bin into
+    video_limit: float = 60.0  # length of the film in simulated time [s]
+
+
+def bin_seed(seed: int, index: int) -> int:
+    """Return the seed of bin ``index``: numpy's SeedSequence over (seed, index), so that no two evaluations overlap.
+
+    It depends on nothing else: not on the number of bins, of workers, or on their order.
+    """
+    return int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
+
+
+def scripted_cell(config: EvaluationConfig) -> Cell:
+    """Build the cell with the scripted picker; it computes on one thread, so that times are those of one core."""
+    env = WatchedEnv(
+        part=config.part,
+        num_parts=config.num_parts,
+        perception=config.perception,
+        sensor=config.sensor,
+        camera=config.camera,
+        pose_noise=config.pose_noise,
+        render_mode="rgb_array",
+        threads=1,
+    )
+    return Cell(env, ScriptedPicker(env, config.picker))
+
+
+def evaluate_bin(
+    config: EvaluationConfig,
+    index: int,
+    extras: Extras | None = None,
+    on_pick: Callable[[PickResult], None] | None = None,
+    make_cell: CellMaker = scripted_cell,
+) -> BinRecord:
+    """Pick one bin to its end.
+
+    Args:
+        config: All that the record's numbers depend on, wall clock aside.
+        index: Of the bin.
+        extras: Pictures and film, if wanted.
+        on_pick: Called after each decision, for progress.
+        make_cell: Builds environment and picker.
+
+    Raises:
+        BinError: Anything went wrong; the text names index and seed, the cause is attached.
+    """
+    seed = bin_seed(config.seed, index)
+    try:
+        return _evaluate(config, index, seed, extras or Extras(), on_pick, make_cell)
+    except Exception as error:
+        raise BinError(f"bin {index} (seed {seed}) failed: {type(error).__name__}: {error}") from error
+
+
+def _evaluate(
+    config: EvaluationConfig,
+    index: int,
+    seed: int,
+    extras: Extras,
+    on_pick: Callable[[PickResult], None] | None,
+    make_cell: CellMaker,
+) -> BinRecord:
+    env, picker = make_cell(config)
+    album = Album(extras.pictures, f"bin_{index:04d}")
+    try:
+        with Film.into(extras.video, env, limit=extras.video_limit) as film:
+            watched = _WatchedPicker(env, picker, album)
+            result = run_bin(env, watched, seed, on_pick)
+            wall = time.perf_counter() - watched.start - album.seconds - film.seconds
+        return BinRecord.from_result(
+            result,
+            watched.pictures,
+            config_hash=config.digest(),
+            index=index,
+            wall=wall,
+            settle=watched.settled - watched.start,
+            render=watched.render,
+            git_commit=git_commit(),
+            before=watched.before,
+            after=album.overview(env, "after"),
+        )
+    finally:
+        env.close()
+
+
+class _WatchedPicker:
+    """Passes decisions on, and keeps a picture of the settled bin and of every attempt that failed."""
+
+    def __init__(self, env: BinPickEnv, picker: Picker, album: Album) -> None:
+        self._env, self._picker, self._album = env, picker, album
+        self.pictures: list[str] = []
+        self.before = ""
+        self.render = 0.0  # wall clock that frames took to render [s]
+        self._frame_id = -1
+        self.start = self.settled = time.perf_counter()
+
+    def reset(self) -> None:
+        self.settled = time.perf_counter()
+        self._count_frame()
+        self._picker.reset()
+        self.before = self._album.overview(self._env, "before")
+
+    def pick(self) -> PickResult:
+        self._count_frame()
+        frame = self._env.frame  # of the decision; the next one is taken when the arm is back home
+        result = self._picker.pick()
+        self._count_frame()
+        failed = result.outcome is not None and not result.success
+        self.pictures.append(self._album.failure(frame, result, len(self.pictures)) if failed else "")
+        return result
+
+    def _count_frame(self) -> None:
+        if self._env.frame_id != self._frame_id:
+            self._frame_id = self._env.frame_id
+            self.render += self._env.render_time

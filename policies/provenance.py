@@ -1,0 +1,43 @@
+"""Where a number comes from: versions, commit, command."""
+
+import os
+import platform
+import subprocess
+import sys
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+PACKAGES = ("binpick", "mujoco", "gymnasium", "mink", "numpy", "scipy", "trimesh", "numba", "toppra")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions behind a result: Python, the platform, the packages that shape it."""
+    found = {"python": platform.python_version(), "platform": platform.platform(), "cores": str(os.cpu_count())}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed as a package"
+    return found
+
+
+@lru_cache(maxsize=1)
+def git_commit() -> str:
+    """Return the commit of this checkout, with ``-dirty`` for changed files; "" where the code is not in a checkout."""
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():  # the wheel may be installed inside of someone else's repository
+        return ""
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
+            cwd=root, capture_output=True, text=True, timeout=10, check=True,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return described.stdout.strip()
+
+
+def command_line() -> str:
+    """Return the command that this process was started with."""
+    return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])

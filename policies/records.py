@@ -1,0 +1,195 @@
+"""What is kept of every bin: plain numbers and words, written as JSON, one file a bin."""
+
+import json
+import os
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from binpick_env.clutter import ClutterStats
+from policies.episode import BinResult, Termination
+from policies.outcomes import Abstention, GraspOutcome, PickResult
+
+RECORD_VERSION = 1  # raise it when a field changes its meaning: older records are then computed anew
+
+
+class RecordError(ValueError):
+    """A file does not hold a whole record of the configuration that was asked for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PickRecord:
+    """One decision; see :class:`policies.outcomes.PickResult`.
+
+    Attributes:
+        outcome: A :class:`GraspOutcome`; None for an abstention.
+        abstention: An :class:`Abstention`; None for an attempt.
+        part: Index of the part that was aimed at, -1 if unknown.
+        delivered: Parts delivered by it.
+        t_sense: Nominal exposure [s].
+        t_compute: Wall clock of perception and planning [s].
+        t_motion: Simulated [s].
+        frame_id: Frame of the decision.
+        width: Distance between the pads at contact [m]; None for an abstention.
+        opening: Distance between the pads during the approach [m]; None for an abstention.
+        score: The grasp's rank; None for an abstention.
+        features: Named scalars behind the score.
+        picture: File name of the picture at the time of failure, beside the record; "" if none was kept.
+    """
+
+    outcome: GraspOutcome | None
+    abstention: Abstention | None
+    part: int
+    delivered: int
+    t_sense: float
+    t_compute: float
+    t_motion: float
+    frame_id: int
+    width: float | None = None
+    opening: float | None = None
+    score: float | None = None
+    features: dict[str, float] = field(default_factory=dict)
+    picture: str = ""
+
+    @classmethod
+    def from_result(cls, result: PickResult, picture: str = "") -> "PickRecord":
+        """Keep the plain facts of ``result``."""
+        grasp = result.grasp
+        return cls(
+            outcome=result.outcome,
+            abstention=result.abstention,
+            part=result.part,
+            delivered=result.delivered,
+            t_sense=result.t_sense,
+            t_compute=result.t_compute,
+            t_motion=result.t_motion,
+            frame_id=result.frame_id,
+            width=None if grasp is None else float(grasp.width),
+            opening=None if grasp is None else float(grasp.opening),
+            score=None if grasp is None else float(grasp.score),
+            features={} if grasp is None else {name: float(value) for name, value in grasp.features.items()},
+            picture=picture,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BinRecord:
+    """One bin.
+
+    Attributes:
+        config_hash: Of the :class:`policies.evaluation.EvaluationConfig` that made it.
+        index: Of the bin in the evaluation.
+        seed: Of the environment's reset.
+        parts_total: Parts after settling.
+        delivered: Parts delivered.
+        termination: Why the bin ended.
+        clutter: Visible fractions of the settled bin; its shares are NaN for an empty one.
+        picks: Every decision in order.
+        wall: Wall clock of the bin after its set-up, pictures for people left out [s].
+        settle: Part of ``wall`` in which the pile was dropped and seen first [s].
+        render: Part of ``wall`` spent on rendering the camera's frames [s].
+        git_commit: Of the code that made it, "" outside of a checkout.
+        before: File name of the picture of the settled bin; "" if none was kept.
+        after: File name of the picture at the bin's end; "" if none was kept.
+    """
+
+    config_hash: str
+    index: int
+    seed: int
+    parts_total: int
+    delivered: int
+    termination: Termination
+    clutter: ClutterStats
+    picks: tuple[PickRecord, ...]
+    wall: float
+    settle: float
+    render: float
+    git_commit: str = ""
+    before: str = ""
+    after: str = ""
+
+    @property
+    def attempts(self) -> tuple[PickRecord, ...]:
+        """The executed attempts."""
+        return tuple(pick for pick in self.picks if pick.outcome is not None)
+
+    @classmethod
+    def from_result(cls, result: BinResult, pictures: list[str], **facts: Any) -> "BinRecord":
+        """Keep the plain facts of ``result``; ``pictures`` holds a file name, or "", for each pick."""
+        picks = tuple(PickRecord.from_result(p, name) for p, name in zip(result.picks, pictures, strict=True))
+        return cls(
+            seed=result.seed,
+            parts_total=result.parts_total,
+            delivered=result.delivered,
+            termination=result.termination,
+            clutter=result.clutter,
+            picks=picks,
+            **facts,
+        )
+
+
+def record_path(folder: Path, index: int) -> Path:
+    """Return where the record of bin ``index`` is kept."""
+    return folder / f"bin_{index:04d}.json"
+
+
+def save_record(record: BinRecord, folder: Path) -> Path:
+    """Write ``record`` in one piece, or not at all."""
+    path = record_path(folder, record.index)
+    write_atomically(path, json_text({"version": RECORD_VERSION, **asdict(record)}))
+    return path
+
+
+def load_record(path: Path) -> BinRecord:
+    """Read a record.
+
+    Raises:
+        RecordError: The file is cut off, damaged or of another version.
+    """
+    try:
+        values = json.loads(path.read_text())
+        version = values.pop("version")
+        if version != RECORD_VERSION:
+            raise RecordError(f"{path} is of version {version}, this code reads {RECORD_VERSION}")
+        values["termination"] = Termination(values["termination"])
+        clutter: dict[str, Any] = {
+            name: np.nan if value is None else value for name, value in values["clutter"].items()
+        }
+        values["clutter"] = ClutterStats(**clutter)
+        values["picks"] = tuple(_pick(pick) for pick in values["picks"])
+        return BinRecord(**values)
+    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
+        raise RecordError(f"{path} holds no whole record ({error})") from error
+
+
+def _pick(values: dict[str, Any]) -> PickRecord:
+    unknown = set(values) - {f.name for f in fields(PickRecord)}
+    if unknown:
+        raise RecordError(f"a pick has no field {', '.join(sorted(unknown))}")
+    outcome, abstention = values["outcome"], values["abstention"]
+    values["outcome"] = None if outcome is None else GraspOutcome(outcome)
+    values["abstention"] = None if abstention is None else Abstention(abstention)
+    return PickRecord(**values)
+
+
+def json_text(values: Any) -> str:
+    """Return ``values`` as JSON; NaN, which JSON does not know, becomes null."""
+    return json.dumps(_without_nan(values), indent=1, allow_nan=False)
+
+
+def _without_nan(values: Any) -> Any:
+    if isinstance(values, dict):
+        return {key: _without_nan(value) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_without_nan(value) for value in values]
+    return None if isinstance(values, float) and np.isnan(values) else values
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write ``text`` to ``path`` so that no reader, and no crash, ever meets half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    draft.write_text(text)
+    draft.replace(path)

@@ -1,0 +1,154 @@
+"""``report.html``: one self-contained page with the numbers, every bin, every attempt and the failures in pictures."""
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+from policies.outcomes import GraspOutcome
+from policies.records import BinRecord, PickRecord, write_atomically
+from policies.report_style import bars, figure, page, table, tag, tile
+from policies.statistics import Rate
+from policies.summary import Summary
+from policies.tables import number, percent, spread
+
+GALLERY_LIMIT = 60  # failures that are shown; a page of hundreds of pictures helps nobody
+COLUMNS = (
+    "#",
+    "result",
+    "part",
+    "width [mm]",
+    "opening [mm]",
+    "score",
+    "sense [s]",
+    "compute [s]",
+    "motion [s]",
+    "frame",
+)
+_ENDS = {"empty": "emptied", "2F": "two failures in a row", "abstained": "nothing left to try", "time": "out of time"}
+
+
+def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pictures: Path) -> None:
+    """Write the page in one piece.
+
+    Args:
+        path: Of the HTML file.
+        summary: The numbers.
+        records: Of all bins, in order.
+        pictures: Folder in which the records' pictures lie.
+    """
+    config = summary.config
+    part = Path(config["part"]).name
+    sections = [
+        f"<h1>Bin picking: {escape(part)}</h1>",
+        f"<p>{summary.bins} bins of {config['num_parts'][0]} to {config['num_parts'][1]} parts · "
+        f"perception {config['perception']} · sensor {config['sensor']} · frames by {summary.camera_backend} · "
+        f"seed {summary.seed}</p>",
+        _headline(summary),
+        _causes(summary),
+        _gallery(records, pictures),
+        "<h2>Bins</h2>" + "".join(_bin(record, pictures) for record in records),
+        _provenance(summary),
+    ]
+    write_atomically(path, page(f"binpick: {part}", "".join(sections)))
+
+
+def _headline(summary: Summary) -> str:
+    time = summary.time
+    parts = " + ".join(f"{name} {number(time[name], 2)}" for name in ("sense", "compute", "motion")) + " s"
+    mpph, motion = summary.intervals["mpph"], summary.intervals["motion_dph"]
+    tiles = [
+        _rate_tile("GSR · grasp success", summary.gsr_rate, "attempts"),
+        _rate_tile("DR · bin emptied", summary.dr_rate, "parts"),
+        tile("MPPH · picks per hour", number(summary.mpph, 0), f"95 %: {spread(mpph)} · {parts}"),
+        tile("per hour of motion alone", number(summary.motion_dph, 0), f"95 %: {spread(motion)}"),
+    ]
+    return f"<div class='grid tiles'>{''.join(tiles)}</div>"
+
+
+def _rate_tile(name: str, rate: Rate, of: str) -> str:
+    interval = f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %"
+    bounds = None if rate.value is None else (rate.low, rate.high, rate.value)
+    return tile(name, percent(rate.value), f"{rate.successes} of {rate.n} {of} · 95 %: {interval}", bounds)
+
+
+def _causes(summary: Summary) -> str:
+    outcomes = [
+        (n.replace("_", " "), c, "good" if n == GraspOutcome.DELIVERED else "bad") for n, c in summary.outcomes.items()
+    ]
+    reasons = [(name.replace("_", " "), count, "idle") for name, count in summary.abstentions.items()]
+    ends = [(name, count, "good" if name == "empty" else "idle") for name, count in summary.termination.items()]
+    c = summary.clutter
+    clutter = (
+        f"Of the settled bins: median visible fraction {number(c['median'], 2)}, {percent(c['below_half'])} of "
+        f"parts under 0.5 visible, {percent(c['above_nine_tenths'])} over 0.9."
+    )
+    left = f"<div class='card'><h3>Attempts by outcome</h3>{bars(outcomes, summary.attempts)}</div>"
+    right = (
+        f"<div class='card'><h3>Abstentions by reason</h3>{bars(reasons, sum(summary.abstentions.values()))}"
+        f"<h3>Bins by their end</h3>{bars(ends, summary.bins)}<h3>Clutter</h3><p>{clutter}</p></div>"
+    )
+    return f"<h2>Where it is won and lost</h2><div class='grid two'>{left}{right}</div>"
+
+
+def _gallery(records: Sequence[BinRecord], pictures: Path) -> str:
+    failures = [(r, k, p) for r in records for k, p in enumerate(r.picks) if p.outcome is not None and not _good(p)]
+    if not failures:
+        return "<h2>Failures</h2><p>None.</p>"
+    shown = [
+        figure(pictures / pick.picture, f"{tag(_word(pick), 'bad')} bin {record.index}, decision {k}, part {pick.part}")
+        for record, k, pick in failures[:GALLERY_LIMIT]
+        if pick.picture
+    ]
+    note = (
+        "The frame that each failed attempt was decided on: fingertips open (thin) and closed (thick) in orange, "
+        "the last 5 cm of the approach in green."
+    )
+    more = f" {len(shown)} of {len(failures)} failures." if len(shown) < len(failures) else ""
+    return f"<h2>Failures</h2><p>{note}{more}</p><div class='grid gallery'>{''.join(shown)}</div>"
+
+
+def _bin(record: BinRecord, pictures: Path) -> str:
+    facts = (
+        f"seed {record.seed} · {record.delivered} of {record.parts_total} delivered · {_ENDS[record.termination]} · "
+        f"median visibility {record.clutter.median:.2f} · {record.wall:.1f} s"
+    )
+    views = ""
+    if record.before or record.after:
+        pair = [figure(pictures / record.before, "settled"), figure(pictures / record.after, "at the end")]
+        views = f"<div class='grid two'>{''.join(pair)}</div>"
+    strip = "".join(f"<i class='{_kind(p)}' title='{k}: {escape(_word(p))}'></i>" for k, p in enumerate(record.picks))
+    rows = [_row(k, pick) for k, pick in enumerate(record.picks)]
+    attempts = f"<details><summary>{len(rows)} decisions</summary>{table(COLUMNS, rows, words=(1,))}</details>"
+    title = f"<h3>Bin {record.index} <span>{facts}</span></h3>"
+    return f"<div class='card bin'>{title}{views}<div class='strip'>{strip}</div>{attempts}</div>"
+
+
+def _row(k: int, pick: PickRecord) -> list[str]:
+    def mm(length: float | None) -> str:
+        return "–" if length is None else f"{1000 * length:.1f}"
+
+    times = [f"{t:.2f}" for t in (pick.t_sense, pick.t_compute, pick.t_motion)]
+    features = ", ".join(f"{name} {value:.3g}" for name, value in pick.features.items())
+    score = f"<span title='{escape(features)}'>{number(pick.score, 2)}</span>"
+    part = "–" if pick.part < 0 else str(pick.part)
+    grasp = [part, mm(pick.width), mm(pick.opening), score]
+    return [str(k), tag(_word(pick), _kind(pick)), *grasp, *times, str(pick.frame_id)]
+
+
+def _good(pick: PickRecord) -> bool:
+    return pick.outcome is GraspOutcome.DELIVERED
+
+
+def _kind(pick: PickRecord) -> str:
+    return "idle" if pick.outcome is None else "good" if _good(pick) else "bad"
+
+
+def _word(pick: PickRecord) -> str:
+    return str(pick.outcome or pick.abstention).replace("_", " ")
+
+
+def _provenance(summary: Summary) -> str:
+    commits = ", ".join(commit or "not in a git checkout" for commit in summary.git_commits)
+    rows = [["command", summary.command], ["commit", commits], *([k, v] for k, v in summary.versions.items())]
+    cells = [[escape(name), f"<code>{escape(value)}</code>"] for name, value in rows]
+    return f"<h2>How it was made</h2><div class='card'>{table(('what', 'value'), cells, words=(0, 1))}</div>"

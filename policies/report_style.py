@@ -1,0 +1,102 @@
+"""The report's look: its style sheet and the few HTML pieces that it is put together from. No network, no scripts."""
+
+import base64
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+CSS = """
+:root { color-scheme: light dark; --ink: #1d2330; --soft: #667085; --paper: #f6f7f9; --card: #ffffff; --line: #e3e7ee;
+  --good: #1a8f5c; --bad: #d1453b; --idle: #b7791f; --accent: #2f5fd0; --track: #edf0f5; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e6e9f0; --soft: #98a2b3; --paper: #12151c; --card: #1b202a;
+  --line: #2c3340; --good: #3fbf85; --bad: #f0756c; --idle: #e0b04a; --accent: #86a8ff; --track: #262d39; } }
+* { box-sizing: border-box; }
+body { margin: 0; background: var(--paper); color: var(--ink);
+  font: 15px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
+main { max-width: 1120px; margin: 0 auto; padding: 32px 24px 64px; }
+h1 { font-size: 26px; margin: 0; letter-spacing: -.01em; }
+h2 { font-size: 18px; margin: 40px 0 12px; }
+p, figcaption, .soft { color: var(--soft); } p { margin: 4px 0; max-width: 80ch; }
+.card { background: var(--card); border: 1px solid var(--line); border-radius: 12px; padding: 16px 18px; }
+.grid { display: grid; gap: 14px; }
+.tiles { grid-template-columns: repeat(auto-fit, minmax(230px, 1fr)); margin-top: 20px; }
+.two { grid-template-columns: repeat(auto-fit, minmax(420px, 1fr)); }
+.tile b { display: block; font-size: 32px; font-weight: 650; letter-spacing: -.02em; line-height: 1.2; }
+.tile span { color: var(--soft); font-size: 13px; display: block; }
+.range { position: relative; height: 6px; border-radius: 3px; background: var(--track); margin: 8px 0 6px; }
+.range i { position: absolute; top: 0; height: 6px; border-radius: 3px; background: var(--accent); opacity: .45; }
+.range u { position: absolute; top: -3px; width: 3px; height: 12px; margin-left: -1px; background: var(--accent); }
+table { border-collapse: collapse; width: 100%; font-size: 13.5px; font-variant-numeric: tabular-nums; }
+th { text-align: left; font-weight: 600; color: var(--soft); }
+th, td { padding: 5px 10px 5px 0; border-bottom: 1px solid var(--line); }
+td.n, th.n { text-align: right; } tr:last-child td { border-bottom: 0; }
+.bar { display: grid; grid-template-columns: 150px 1fr 92px; gap: 10px; align-items: center; padding: 3px 0;
+  font-size: 13.5px; }
+.bar div { background: var(--track); border-radius: 4px; height: 14px; overflow: hidden; }
+.bar i { display: block; height: 14px; } .bar span { text-align: right; font-variant-numeric: tabular-nums; }
+.good { background: var(--good); } .bad { background: var(--bad); } .idle { background: var(--idle); }
+.tag { display: inline-block; border-radius: 999px; padding: 0 9px; font-size: 12px; color: #fff; }
+figure { margin: 0; } figure img { width: 100%; display: block; border-radius: 8px; }
+figcaption { font-size: 12.5px; margin-top: 5px; }
+.gallery { grid-template-columns: repeat(auto-fill, minmax(200px, 1fr)); }
+details { margin-top: 10px; } summary { cursor: pointer; color: var(--accent); font-size: 13.5px; }
+.strip { display: flex; flex-wrap: wrap; gap: 3px; margin: 10px 0 2px; }
+.strip i { width: 15px; height: 15px; border-radius: 4px; }
+.scroll { overflow-x: auto; } code { font-size: 12.5px; overflow-wrap: anywhere; } .bin { margin-bottom: 14px; }
+h3 { font-size: 15px; margin: 16px 0 8px; } h3:first-child { margin-top: 0; }
+.bin h3 { margin: 0 0 8px; font-size: 15px; } .bin h3 span { color: var(--soft); font-weight: 400; }
+"""
+
+
+def page(title: str, body: str) -> str:
+    """Return a whole HTML document."""
+    head = f"<meta charset='utf-8'><meta name='viewport' content='width=device-width'><title>{escape(title)}</title>"
+    head += f"<style>{CSS}</style>"
+    return f"<!doctype html><html lang='en'><head>{head}</head><body><main>{body}</main></body></html>\n"
+
+
+def tile(name: str, value: str, note: str, bounds: tuple[float, float, float] | None = None) -> str:
+    """Return a headline number; ``bounds`` are the interval's ends and the estimate, on a track from 0 to 1."""
+    track = ""
+    if bounds is not None:
+        low, high, estimate = (100 * min(max(x, 0.0), 1.0) for x in bounds)
+        span = f"<i style='left:{low:.2f}%;width:{high - low:.2f}%'></i>"
+        track = f"<div class='range'>{span}<u style='left:{estimate:.2f}%'></u></div>"
+    figures = f"<span>{escape(name)}</span><b>{escape(value)}</b>"
+    return f"<div class='card tile'>{figures}{track}<span>{escape(note)}</span></div>"
+
+
+def bars(rows: Sequence[tuple[str, int, str]], total: int) -> str:
+    """Return horizontal bars of (name, count, class) against ``total``."""
+    lines = []
+    for name, count, kind in rows:
+        share = count / total if total else 0.0
+        fill = f"<i class='{kind}' style='width:{100 * share:.1f}%'></i>"
+        lines.append(
+            f"<div class='bar'>{escape(name)}<div>{fill}</div><span>{count} · {100 * share:.1f} %</span></div>"
+        )
+    return "".join(lines) or "<p>none</p>"
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[int] = (0,)) -> str:
+    """Return a table of ready-made HTML cells; columns not in ``words`` hold numbers and go to the right."""
+
+    def line(cells: Sequence[str], tag: str) -> str:
+        marked = (f"<{tag}{'' if k in words else ' class=n'}>{cell}</{tag}>" for k, cell in enumerate(cells))
+        return f"<tr>{''.join(marked)}</tr>"
+
+    body = "".join(line(row, "td") for row in rows)
+    return f"<div class='scroll'><table>{line(list(map(escape, header)), 'th')}{body}</table></div>"
+
+
+def tag(text: str, kind: str) -> str:
+    """Return a coloured label."""
+    return f"<span class='tag {kind}'>{escape(text)}</span>"
+
+
+def figure(path: Path, caption: str) -> str:
+    """Return a picture with its bytes inside, or a note where the file is gone."""
+    if not path.is_file():
+        return f"<figure><p>no picture</p><figcaption>{caption}</figcaption></figure>"
+    data = base64.b64encode(path.read_bytes()).decode()
+    return f"<figure><img alt='' src='data:image/jpeg;base64,{data}'><figcaption>{caption}</figcaption></figure>"

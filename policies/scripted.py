@@ -1,0 +1,312 @@
+"""The mink picker: choose a grasp, approach, close, lift, verify, carry, release, and say what came of it."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from binpick_env.env import BinPickEnv
+from binpick_env.outcomes import Delivery
+from binpick_env.robot import HOME
+from binpick_env.simulation import CONTROL_PERIOD
+from perception.geometry import Floats, invert_transform, make_transform, transform_points
+from policies.clearance import RankSettings, RankStats, rank_grasps
+from policies.grasps import sample_grasps
+from policies.gripper import gripper_model
+from policies.heightmap import HeightMap
+from policies.ik import IkSolver
+from policies.motion import Trajectory
+from policies.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
+from policies.planner import MotionPlanner, Tool
+from policies.planning_scene import PlanningScene
+
+T_SENSE = 0.5  # nominal exposure of a structured-light camera [s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PickerSettings:
+    """How the picker works. Lengths [m], times [s], forces [N]."""
+
+    rank: RankSettings = RankSettings()
+    grasps_tried: int = 40  # for IK and a free path, best first, before the picker abstains
+    standoff: float = 0.06  # length of the straight approach
+    approach_speed: float = 0.5  # share of the joints' velocity limit on straight lines
+    carry_scale: float = 0.7  # share of velocity and acceleration limits with a part in the jaw
+    stop_force: float = 60.0  # of contact on the way down, at which the descent is broken off
+    close_time: float = 0.6  # at most, for the jaw to come to rest
+    release_height: float = 0.03  # of the carried part's lowest point above the tray's floor
+    release_time: float = 0.24  # for the jaw to open before the arm leaves
+    settle_time: float = 1.5  # at most, for the released part to be judged
+    empty_gap: float = 0.0015  # between the pads; a jaw closed further holds nothing
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Plan:
+    """A grasp with the motion towards it."""
+
+    grasp: GraspCandidate
+    q_grasp: Floats
+    approach: Trajectory
+
+
+class ScriptedPicker:
+    """Picks the best-ranked grasp that the arm can reach. Works on the candidates and the frame of the environment.
+
+    What the policy decides on is what a real cell has: frame, candidates, joint and gripper positions, the force at the
+    tool. The truth of the physics is used once, at the end, to name the attempt's outcome.
+    """
+
+    def __init__(self, env: BinPickEnv, settings: PickerSettings | None = None) -> None:
+        """Load gripper, grasps and planner for the environment's part and cell; a few seconds for a new part."""
+        self._env = env
+        self._settings = settings or PickerSettings()
+        self._gripper = gripper_model()
+        self._grasps = sample_grasps(env.part.model)
+        scene = PlanningScene(env.config)
+        self._ik = IkSolver(scene)
+        self._planner = MotionPlanner(scene, self._ik)
+        self._outline = _outline(np.asarray(env.part.model.mesh.vertices))
+        self.rank_stats = RankStats()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last bin."""
+        self._failed_at: list[Floats] = []
+
+    def pick(self) -> PickResult:
+        """Make one decision on the last frame: an executed attempt, or an abstention."""
+        started = time.perf_counter()
+        env, frame_id = self._env, self._env.frame_id
+        plan = self._plan()
+        compute = time.perf_counter() - started + env.perception_time
+        if isinstance(plan, Abstention):
+            return PickResult(abstention=plan, t_sense=T_SENSE, t_compute=compute, frame_id=frame_id)
+        began, events_before = env.simulation.time, len(env.events)
+        execution = _Execution(env, self._settings)
+        candidate = env.candidates[plan.grasp.candidate]
+        planning = self._execute(plan, execution, candidate.T_world_part)
+        kinds = [event.kind for event in env.events[events_before:]]
+        outcome = execution.outcome(kinds)
+        if outcome is GraspOutcome.DELIVERED:
+            self._failed_at.clear()
+        else:
+            self._failed_at.append(candidate.centre_world)
+        return PickResult(
+            outcome=outcome,
+            grasp=plan.grasp,
+            part=candidate.part,
+            delivered=kinds.count(Delivery.DELIVERED),
+            t_sense=T_SENSE,
+            t_compute=compute + planning,
+            t_motion=env.simulation.time - began,
+            frame_id=frame_id,
+        )
+
+    # --- planning --------------------------------------------------------------------------------------------------
+
+    def _plan(self) -> _Plan | Abstention:
+        env, settings = self._env, self._settings
+        if not env.candidates:
+            return Abstention.NO_CANDIDATE
+        ranked, self.rank_stats = rank_grasps(
+            env.candidates, self._grasps, env.frame, env.workspace, self._gripper, settings.rank
+        )
+        if not ranked:
+            return Abstention.NO_CLEAR_APPROACH
+        height = self._pile_height()
+        blocked = False
+        for grasp in self._fresh_first(ranked)[: settings.grasps_tried]:
+            reached = self._ik.solve_grasp(grasp.T_world_tcp, env.simulation.target, opening=grasp.opening)
+            if not reached.ok:
+                continue
+            tool = Tool(opening=grasp.opening, points_tcp=self._gripper.hull_points(grasp.opening))
+            approach = self._planner.plan_transfer(
+                env.simulation.target,
+                reached.q,
+                tool,
+                standoff=settings.standoff,
+                obstacle_height=height,
+                speed=settings.approach_speed,
+            )
+            if approach.trajectory is not None:
+                return _Plan(grasp=grasp, q_grasp=reached.q, approach=approach.trajectory)
+            blocked = True
+        return Abstention.NO_CLEAR_APPROACH if blocked else Abstention.IK_INFEASIBLE
+
+    def _fresh_first(self, ranked: list[GraspCandidate]) -> list[GraspCandidate]:
+        """Put grasps on parts that lie where an attempt has just failed behind all others."""
+        reach = self._env.part.model.d_max / 4
+
+        def failed(grasp: GraspCandidate) -> bool:
+            centre = self._env.candidates[grasp.candidate].centre_world
+            return any(float(np.linalg.norm(centre - at)) < reach for at in self._failed_at)
+
+        return sorted(ranked, key=failed)
+
+    def _pile_height(self) -> Callable[[Floats], Floats]:
+        """Return the seen surface's world height [m] under (P, 3) world points."""
+        env = self._env
+        scene = HeightMap.from_frame(env.frame, env.workspace, wall=env.config.bin.wall)
+        floor = float(env.workspace.T_world_bin[2, 3])
+
+        def height(points_world: Floats) -> Floats:
+            return scene.highest_at(transform_points(scene.T_bin_world, points_world)) + floor
+
+        return height
+
+    # --- execution -------------------------------------------------------------------------------------------------
+
+    def _execute(self, plan: _Plan, execution: "_Execution", T_world_part: Floats) -> float:
+        """Run the attempt and return the wall clock spent on planning on the way [s]."""
+        settings = self._settings
+        preshape = self._gripper.control(plan.grasp.opening)
+        if not execution.follow(plan.approach, preshape, guard=True):
+            return self._go_home(execution)
+        execution.close()
+        started = time.perf_counter()
+        T_world_tcp = self._ik.tcp_pose(plan.q_grasp)
+        carried = transform_points(invert_transform(T_world_tcp) @ T_world_part, self._outline)
+        tool = Tool(opening=plan.grasp.width, points_tcp=carried)
+        lift = self._planner.clearing_lift(plan.q_grasp, tool) + 0.01
+        release = self._release_posture(carried)
+        carry = self._planner.plan_transfer(plan.q_grasp, release, tool, lift=lift, scale=settings.carry_scale)
+        if carry.trajectory is None:  # with the part in the jaw, stricter clearances than the lone gripper's
+            carry = self._planner.plan_transfer(plan.q_grasp, HOME, Tool(opening=plan.grasp.width), lift=lift)
+        planning = time.perf_counter() - started
+        if carry.trajectory is None:
+            return planning + self._back_out(plan, execution)
+        if not execution.carry(carry.trajectory, self._gripper.control(settings.empty_gap)):
+            return planning + self._go_home(execution)
+        execution.release()
+        planning += self._go_home(execution)
+        execution.await_judgement()
+        return planning
+
+    def _release_posture(self, carried_tcp: Floats) -> Floats:
+        """Return the (6,) posture above the tray from which the carried part has the least to fall."""
+        tray = self._env.config.tray
+        hang = max(float(carried_tcp[:, 2].max()), float(self._gripper.tip_z(0.0)))
+        at_home = self._ik.tcp_pose(HOME)
+        z = tray.wall + self._settings.release_height + hang
+        T_world_tcp = make_transform(at_home[:3, :3], (*tray.position, max(z, tray.wall + tray.inner_size[2])))
+        reached = self._ik.solve(T_world_tcp, HOME)
+        return reached.q if reached.ok else HOME
+
+    def _go_home(self, execution: "_Execution") -> float:
+        """Lift out of the bin and go home with the jaw open; return the wall clock of planning [s]."""
+        started = time.perf_counter()
+        q = self._env.simulation.target.copy()
+        tool = Tool(points_tcp=self._gripper.hull_points(0.0)[:1])
+        plan = self._planner.plan_transfer(q, HOME, tool, lift=self._planner.clearing_lift(q, tool))
+        planning = time.perf_counter() - started
+        if plan.trajectory is None:
+            execution.retrace()
+        else:
+            execution.follow(plan.trajectory, 0.0)
+        return planning
+
+    def _back_out(self, plan: _Plan, execution: "_Execution") -> float:
+        """Let go where it was taken and leave the way it came."""
+        execution.release()
+        execution.retrace()
+        return 0.0
+
+
+class _Execution:
+    """Steps the environment through one attempt and remembers what its outcome depends on."""
+
+    def __init__(self, env: BinPickEnv, settings: PickerSettings) -> None:
+        self._env = env
+        self._settings = settings
+        self._way: list[Floats] = []
+        self._collided = False
+        self._held: dict[str, bool] = {}
+
+    def follow(self, trajectory: Trajectory, gripper: float, *, guard: bool = False) -> bool:
+        """Run a trajectory; with ``guard``, stop and return False when the robot pushes harder than it may."""
+        for q in trajectory.q[1:]:
+            self._step(q, gripper)
+            if guard and self._env.simulation.robot_push().force > self._settings.stop_force:
+                self._collided = True
+                return False
+        return True
+
+    def carry(self, trajectory: Trajectory, empty: float) -> bool:
+        """Lift and carry with the jaw closing; False as soon as the jaw is found empty after the lift.
+
+        Args:
+            trajectory: Its first mark is the lift's end.
+            empty: Gripper position from which the jaw holds nothing.
+        """
+        lifted = trajectory.marks[0]
+        for k, q in enumerate(trajectory.q[1:], start=1):
+            self._step(q, 1.0)
+            if k == lifted:
+                self._held["lifted"] = bool(self._env.simulation.gripped())
+                if self._env.simulation.gripper_position >= empty:
+                    return False
+        self._held["carried"] = bool(self._env.simulation.gripped())
+        return True
+
+    def close(self) -> None:
+        """Close the jaw and wait until it rests."""
+        simulation = self._env.simulation
+        last = -1.0
+        for k in range(round(self._settings.close_time / CONTROL_PERIOD)):
+            self._step(simulation.target, 1.0)
+            if k >= 3 and abs(simulation.gripper_position - last) < 2e-3:
+                break
+            last = simulation.gripper_position
+        self._held["closed"] = bool(simulation.gripped())
+
+    def release(self) -> None:
+        """Open the jaw."""
+        for _ in range(round(self._settings.release_time / CONTROL_PERIOD)):
+            self._step(self._env.simulation.target, 0.0)
+
+    def retrace(self) -> None:
+        """Go back the way that was come, with the jaw open."""
+        for q in reversed(self._way.copy()):
+            self._step(q, 0.0)
+
+    def await_judgement(self) -> None:
+        """Wait at rest until no released part is left to be judged."""
+        for _ in range(round(self._settings.settle_time / CONTROL_PERIOD)):
+            if not self._env.unjudged():
+                return
+            self._step(self._env.simulation.target, 0.0)
+
+    def outcome(self, kinds: list[Delivery]) -> GraspOutcome:
+        """Name the outcome from what left play during the attempt and from what was held when."""
+        if Delivery.DELIVERED in kinds:
+            return GraspOutcome.DELIVERED
+        if Delivery.DOUBLE in kinds:
+            return GraspOutcome.DOUBLE
+        if Delivery.LEFT_BIN in kinds:
+            return GraspOutcome.LEFT_BIN
+        if self._collided:
+            return GraspOutcome.COLLIDED
+        if not self._held.get("closed", False):
+            return GraspOutcome.MISSED
+        if not self._held.get("lifted", False):
+            return GraspOutcome.SLIPPED
+        if not self._held.get("carried", False):
+            return GraspOutcome.DROPPED
+        return GraspOutcome.NOT_SETTLED
+
+    def _step(self, q: Floats, gripper: float) -> None:
+        self._way.append(self._env.simulation.target.copy())
+        self._env.step(np.append(q, gripper).astype(np.float32))
+
+
+def _outline(vertices: Floats, count: int = 64) -> Floats:
+    """Return at most ``count`` of (N, 3) vertices, spread by farthest-point sampling: the part's extent."""
+    chosen = [int(np.argmax(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1)))]
+    distance = np.linalg.norm(vertices - vertices[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(vertices)):
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(vertices - vertices[chosen[-1]], axis=1))
+    return vertices[chosen]
+
+

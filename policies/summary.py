@@ -1,0 +1,180 @@
+"""From the bins' records to the numbers that are printed; the field names are the keys of results.json."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from policies.episode import Termination
+from policies.evaluation import EvaluationConfig
+from policies.outcomes import Abstention, GraspOutcome
+from policies.provenance import command_line, versions
+from policies.records import BinRecord
+from policies.statistics import Rate, bootstrap_ratio, rate
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """The main job's numbers. A rate is None where there was no trial; intervals are 95 %.
+
+    Attributes:
+        gsr: Grasp success rate: successes / attempts, pooled over the bins.
+        dr: Declutter rate: parts delivered / parts settled, pooled.
+        mpph: Mean picks per hour, 3600 q / (t_sense + t_compute + t_motion), means over attempts.
+        motion_dph: Deliveries per hour of simulated motion alone, 3600 q / t_motion.
+        attempts: Executed attempts.
+        successes: Attempts that delivered exactly one part.
+        parts_total: Parts after settling.
+        delivered: Parts delivered.
+        abstentions: Decisions without an attempt, by reason.
+        termination: Bins by the reason of their end.
+        outcomes: Attempts by how they ended.
+        time: Means over attempts [s]: sense (nominal), compute (wall clock, one core), motion (simulated).
+        wall: Wall clock [s], pictures for people left out: an attempt's mean without the drop, a bin's mean with
+            it, and the share of it that went into rendering frames.
+        ap: Segmentation AP; None where nothing is segmented (oracle). Likewise ap50 and ap75.
+        candidate_pose_accuracy: Share of candidates whose pose is right; None for the oracle.
+        clutter: median (mean of the bins' medians), below_half and above_nine_tenths (shares of all parts), parts.
+        camera_backend: What rendered the frames.
+        intervals: Of gsr and dr (Wilson), of mpph and motion_dph (percentile bootstrap over attempts).
+        bins: Number of bins.
+        seed: Of the evaluation.
+        config: All settings.
+        command: Command line of the process that summed up.
+        git_commits: Of the code that made the records; more than one if the code changed between them.
+        versions: Python, platform and packages.
+    """
+
+    gsr: float | None
+    dr: float | None
+    mpph: float | None
+    motion_dph: float | None
+    attempts: int
+    successes: int
+    parts_total: int
+    delivered: int
+    abstentions: dict[str, int]
+    termination: dict[str, int]
+    outcomes: dict[str, int]
+    time: dict[str, float | None]
+    wall: dict[str, float | None]
+    ap: float | None = None
+    ap50: float | None = None
+    ap75: float | None = None
+    candidate_pose_accuracy: float | None = None
+    clutter: dict[str, float | None]
+    camera_backend: str
+    intervals: dict[str, Interval | None]
+    bins: int
+    seed: int
+    config: dict[str, Any]
+    command: str
+    git_commits: list[str]
+    versions: dict[str, str] = field(default_factory=versions)
+
+    @property
+    def gsr_rate(self) -> Rate:
+        """GSR with its interval."""
+        return rate(self.successes, self.attempts)
+
+    @property
+    def dr_rate(self) -> Rate:
+        """DR with its interval."""
+        return rate(self.delivered, self.parts_total)
+
+
+def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.random.Generator) -> Summary:
+    """Pool the bins.
+
+    Args:
+        records: Of one configuration.
+        config: That configuration.
+        rng: The bootstrap's chance.
+
+    Raises:
+        ValueError: There are no records, or one is of another configuration.
+    """
+    digest = config.digest()
+    if not records:
+        raise ValueError("there is nothing to sum up: no bin was evaluated")
+    if strangers := [record.index for record in records if record.config_hash != digest]:
+        raise ValueError(f"bins {strangers} are of another configuration")
+    attempts = [pick for record in records for pick in record.attempts]
+    gains = np.array([pick.outcome is GraspOutcome.DELIVERED for pick in attempts], dtype=np.float64)
+    times = np.array([(a.t_sense, a.t_compute, a.t_motion) for a in attempts]).reshape(-1, 3)
+    successes, settled = int(gains.sum()), sum(record.parts_total for record in records)
+    delivered = sum(record.delivered for record in records)
+    gsr, dr = rate(successes, len(attempts)), rate(delivered, settled)
+    mpph, mpph_interval = _per_hour(gains, times.sum(axis=1), rng)
+    motion_dph, motion_interval = _per_hour(gains, times[:, 2], rng)
+    return Summary(
+        gsr=gsr.value,
+        dr=dr.value,
+        mpph=mpph,
+        motion_dph=motion_dph,
+        attempts=len(attempts),
+        successes=successes,
+        parts_total=settled,
+        delivered=delivered,
+        abstentions=_count(Abstention, [p.abstention for r in records for p in r.picks if p.abstention is not None]),
+        termination=_count(Termination, [record.termination for record in records]),
+        outcomes=_count(GraspOutcome, [pick.outcome for pick in attempts]),
+        time={name: _mean(times[:, k]) for k, name in enumerate(("sense", "compute", "motion"))},
+        wall=_wall(records, len(attempts)),
+        clutter=_clutter(records),
+        camera_backend=config.camera.backend,
+        intervals={
+            "gsr": (gsr.low, gsr.high),
+            "dr": (dr.low, dr.high),
+            "mpph": mpph_interval,
+            "motion_dph": motion_interval,
+        },
+        bins=len(records),
+        seed=config.seed,
+        config=asdict(config),
+        command=command_line(),
+        git_commits=sorted({record.git_commit for record in records}),
+    )
+
+
+def _count(kinds: Any, found: Sequence[Any]) -> dict[str, int]:
+    """Count every member of an enum, the absent ones too."""
+    counts = Counter(found)
+    return {str(kind): counts[kind] for kind in kinds}
+
+
+def _mean(values: Any) -> float | None:
+    return float(np.mean(values)) if len(values) else None
+
+
+def _per_hour(gains: Any, seconds: Any, rng: np.random.Generator) -> tuple[float | None, Interval | None]:
+    if len(gains) == 0 or seconds.min() <= 0:
+        return None, None
+    return float(3600 * gains.sum() / seconds.sum()), bootstrap_ratio(3600 * gains, seconds, rng)
+
+
+def _wall(records: Sequence[BinRecord], attempts: int) -> dict[str, float | None]:
+    wall = sum(record.wall for record in records)
+    picking = wall - sum(record.settle for record in records)
+    return {
+        "attempt": picking / attempts if attempts else None,
+        "bin": wall / len(records),
+        "render_share": sum(record.render for record in records) / wall if wall > 0 else None,
+    }
+
+
+def _clutter(records: Sequence[BinRecord]) -> dict[str, float | None]:
+    stats = [record.clutter for record in records if record.clutter.count]
+    parts = [s.count for s in stats]
+    if not stats:
+        return {"median": None, "below_half": None, "above_nine_tenths": None, "parts": 0}
+    return {
+        "median": float(np.mean([s.median for s in stats])),
+        "below_half": float(np.average([s.below_half for s in stats], weights=parts)),
+        "above_nine_tenths": float(np.average([s.above_nine_tenths for s in stats], weights=parts)),
+        "parts": sum(parts),
+    }

@@ -1,0 +1,90 @@
+"""A result as plain text, for the terminal."""
+
+from collections.abc import Sequence
+
+from policies.summary import Interval, Summary
+
+WIDTH = 78
+_BAR = 24
+
+
+def result_table(summary: Summary) -> str:
+    """Return the table that ends the main job."""
+    config = summary.config
+    facts = (config["part"], config["perception"], f"sensor {config['sensor']}", f"{summary.bins} bins")
+    title = " · ".join([*facts, f"seed {summary.seed}"])
+    lines = [title, "═" * WIDTH, *_headline(summary), "─" * WIDTH, *_times(summary), "─" * WIDTH]
+    lines += _counts("attempts by outcome", summary.outcomes, summary.attempts)
+    lines += _counts("abstentions by reason", summary.abstentions, sum(summary.abstentions.values()))
+    lines += _counts("bins by their end", summary.termination, summary.bins)
+    lines += ["─" * WIDTH, *_clutter(summary)]
+    if len(summary.git_commits) > 1:
+        lines.append(f"NOTE  bins of {len(summary.git_commits)} different commits: {', '.join(summary.git_commits)}")
+    return "\n".join(lines)
+
+
+def _headline(summary: Summary) -> list[str]:
+    rows = [("", "value", "n", "95 % interval")]
+    for name, rate in (("GSR  grasp success", summary.gsr_rate), ("DR   declutter", summary.dr_rate)):
+        interval = f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %"
+        rows.append((name, percent(rate.value), f"{rate.successes}/{rate.n}", interval))
+    for name, value, key in (
+        ("MPPH mean picks per hour", summary.mpph, "mpph"),
+        ("     on motion alone", summary.motion_dph, "motion_dph"),
+    ):
+        rows.append((name, number(value, 0), str(summary.attempts), spread(summary.intervals[key])))
+    return [f"{a:<28}{b:>12}{c:>14}{d:>24}" for a, b, c, d in rows]
+
+
+def _times(summary: Summary) -> list[str]:
+    t, wall = summary.time, summary.wall
+    return [
+        f"an attempt    sense {number(t['sense'], 2)} s (nominal)   compute {number(t['compute'], 2)} s (wall)   "
+        f"motion {number(t['motion'], 2)} s (simulated)",
+        f"wall clock    {number(wall['attempt'], 2)} s an attempt, {number(wall['bin'], 1)} s a bin, "
+        f"{percent(wall['render_share'])} of it rendering ({summary.camera_backend})",
+    ]
+
+
+def _counts(title: str, counts: dict[str, int], total: int) -> list[str]:
+    shown = [(name, count) for name, count in counts.items() if count]
+    if not shown:
+        return [f"{title:<28}none"]
+    lines = []
+    for k, (name, count) in enumerate(shown):
+        bar = "█" * max(1, round(_BAR * count / total))
+        lines.append(f"{title if k == 0 else '':<28}{name:<20}{count:>5}  {bar}")
+    return lines
+
+
+def _clutter(summary: Summary) -> list[str]:
+    c = summary.clutter
+    return [
+        f"clutter       visible fraction: median {number(c['median'], 2)}, "
+        f"{percent(c['below_half'])} of parts under 0.5, {percent(c['above_nine_tenths'])} over 0.9"
+    ]
+
+
+def columns(rows: Sequence[Sequence[str]]) -> str:
+    """Align rows of cells, the first column to the left, the others to the right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = []
+    for first, *others in rows:
+        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
+        lines.append("  ".join([first.ljust(widths[0]), *cells]).rstrip())
+    return "\n".join(lines)
+
+
+def percent(value: float | None) -> str:
+    """Return a share in per cent, or a dash."""
+    return "–" if value is None else f"{100 * value:.1f} %"
+
+
+def number(value: float | None, digits: int) -> str:
+    """Return a number, or a dash."""
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def spread(interval: Interval | None) -> str:
+    """Return an interval of whole numbers, or a dash."""
+    return "–" if interval is None else f"{interval[0]:.0f} to {interval[1]:.0f}"
