@@ -43,7 +43,7 @@ def cached_arrays(kind: str, key: str, compute: Callable[[], Arrays]) -> Arrays:
     """
     path = cache_folder() / f"{kind}-{key}.npz"
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
     except FileNotFoundError:
         pass
@@ -51,10 +51,20 @@ def cached_arrays(kind: str, key: str, compute: Callable[[], Arrays]) -> Arrays:
         _log.warning("cannot read %s (%s): computing it anew", path, error)
     arrays = compute()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
-            np.savez(file, **dict(arrays))
-        Path(file.name).replace(path)
+        _write(path, arrays)
     except OSError as error:
         _log.warning("cannot write %s: %s", path, error)
     return arrays
+
+
+def _write(path: Path, arrays: Arrays) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+        unfinished = Path(file.name)
+        try:
+            np.savez(file, **dict(arrays))
+            file.flush()
+            unfinished.replace(path)
+        except OSError:
+            unfinished.unlink(missing_ok=True)
+            raise

@@ -129,9 +129,10 @@ def _soup(vertices: Floats, faces: NDArray[np.int32]) -> _Soup:
 
 def is_closed(faces: NDArray[np.int32]) -> bool:
     """Tell whether every directed edge of (T, 3) faces is met by its reverse, once each."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    forward, backward = (e[np.lexsort(e.T)] for e in (edges, edges[:, ::-1]))
-    return bool(np.array_equal(forward, backward)) and len(np.unique(edges, axis=0)) == len(edges)
+    start, end = faces.astype(np.int64).reshape(-1), np.roll(faces, -1, axis=1).astype(np.int64).reshape(-1)
+    size = np.int64(faces.max(initial=0)) + 1
+    forward, backward = np.sort(start * size + end), np.sort(end * size + start)
+    return bool(np.array_equal(forward, backward) and np.all(np.diff(forward) > 0))
 
 
 def corner_normals(vertices: Floats, faces: NDArray[np.int32], crease: float = CREASE) -> NDArray[np.float32]:

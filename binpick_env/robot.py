@@ -23,8 +23,8 @@ FINGER_PADS = ((GRIPPER + "left_pad1", GRIPPER + "left_pad2"), (GRIPPER + "right
 TCP_SITE = GRIPPER + "tcp"
 TCP_OFFSET = 0.145  # from the gripper's base to Menagerie's `pinch` point [m]
 
-# Tool straight down over the drop tray's place in the default cell, elbow up, outside of the camera's view.
-HOME: Floats = np.array([-0.95, -1.75, 1.95, -1.77, -np.pi / 2, -0.95])
+# The tcp straight down, 0.30 m above the drop tray of the default cell, elbow up, 15 cm outside of the camera's view.
+HOME: Floats = np.array([-1.0130, -1.2780, 1.7100, -2.0028, -np.pi / 2, -1.0130])
 
 
 def _menagerie(folder: str, name: str) -> mujoco.MjSpec:

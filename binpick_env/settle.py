@@ -53,17 +53,17 @@ def inside_bin(simulation: Simulation) -> NDArray[np.bool_]:
 def _release(simulation: Simulation, parts: list[int], rng: np.random.Generator) -> None:
     """Let go of ``parts`` in batches of one a quadrant, just above what already lies there."""
     workspace = simulation.config.bin.workspace()
-    half = workspace.inner_size[:2] / 2
     reach = simulation.part.model.d_max / 2
+    room = np.maximum(workspace.inner_size[:2] / 2 - 2 * reach, 0.0)
+    spread = np.minimum(reach, workspace.inner_size[:2] / 2 - reach)
     steps = round(BATCH_PERIOD / simulation.model.opt.timestep)
     for start in range(0, len(parts), 4):
         quadrants = rng.permutation(4)
+        middle = rng.triangular(-1.0, 0.0, 1.0, size=2) * 0.4 * room  # poured more towards the middle, as from a chute
         top = _top(simulation)
         for i, quadrant in zip(parts[start : start + 4], quadrants, strict=False):
             signs = np.array([1 if quadrant & 1 else -1, 1 if quadrant & 2 else -1])
-            low = np.minimum(reach, half / 2)
-            spot = signs * (low + rng.random(2) * np.maximum(half - reach - low, 0.0))
-            centre = np.array([*spot, top + reach + 0.01])
+            centre = np.array([*(middle + signs * spread), top + reach + 0.01])
             T_world_part = workspace.T_world_bin @ make_transform(random_rotation(rng), centre)
             simulation.place(i, T_world_part)
         mujoco.mj_step(simulation.model, simulation.data, steps)

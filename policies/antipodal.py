@@ -76,22 +76,36 @@ def opposite_faces(
         seed: Of the draw.
 
     Returns:
-        (M, 3) points and (M, 3) opposite points [m]. A tube's outer walls pair up across the bore.
+        (M, 3) points and (M, 3) opposite points [m]. A tube's outer walls pair up across the bore; on faces that are
+        not parallel the line leans alike on both.
     """
     points, faces = trimesh.sample.sample_surface(mesh, count, seed=seed)
     inward = -mesh.face_normals[faces]
-    # Every fourth line leans within the cone, for faces that are not quite parallel.
-    rng = np.random.default_rng(seed)
-    lean = rng.normal(size=inward.shape) * np.where(np.arange(len(inward)) % 4 == 3, 0.15, 0.0)[:, None]
-    line = inward + lean
+    # First straight in, where the opposite face may lean by two cones; then along the middle of both normals.
+    ray, _, outward = _exits(mesh, points, inward, 2 * min_cosine**2 - 1)
+    line = inward[ray] + outward
     line /= np.linalg.norm(line, axis=1, keepdims=True)
+    within = np.einsum("ni,ni->n", inward[ray], line) >= min_cosine
+    start, line = points[ray[within]], line[within]
+    # A ray that leaves through several parallel faces has come back once for each of them.
+    once = np.unique(np.round(np.column_stack([start, line]), 6), axis=0, return_index=True)[1]
+    start, line = start[once], line[once]
+    ray, hits, _ = _exits(mesh, start, line, min_cosine)
+    distance = np.linalg.norm(hits - start[ray], axis=1)
+    keep = (distance >= widths[0]) & (distance <= widths[1])
+    return start[ray[keep]], hits[keep]
+
+
+def _exits(
+    mesh: trimesh.Trimesh, points: Floats, line: Floats, min_cosine: float
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Return, sorted by ray and distance, the rays (M,), places (M, 3) and outward normals (M, 3) where rays leave."""
     hits, ray, face = mesh.ray.intersects_location(points + 1e-5 * line, line, multiple_hits=True)
-    distance = np.linalg.norm(hits - points[ray], axis=1)
-    leaves = np.einsum("ni,ni->n", mesh.face_normals[face], line[ray]) >= min_cosine
-    enters = np.einsum("ni,ni->n", inward[ray], line[ray]) >= min_cosine
-    keep = leaves & enters & (distance >= widths[0]) & (distance <= widths[1])
-    order = np.lexsort((distance[keep], ray[keep]))
-    return points[ray[keep]][order], hits[keep][order]
+    normal = mesh.face_normals[face]
+    keep = np.einsum("ni,ni->n", normal, line[ray]) >= min_cosine
+    hits, ray, normal = hits[keep], ray[keep], normal[keep]
+    order = np.lexsort((np.linalg.norm(hits - points[ray], axis=1), ray))
+    return ray[order], hits[order], normal[order]
 
 
 def grasps_on_lines(first: Floats, second: Floats, turns: int, depths: tuple[float, ...]) -> tuple[Floats, Floats]:
@@ -126,7 +140,7 @@ class Contacts:
         shift: Where the middle between the pads comes to lie along the grasp's y [m].
         width: Distance between the pads at contact [m]; -inf where a pad meets nothing.
         area: Share of the smaller contact patch in a pad's face.
-        alignment: Smaller of the two patches' mean cosines between normal and closing direction.
+        alignment: Smaller of the two patches' cosines between mean normal and closing direction.
         offset: Distance between the patches' centres in the pads' plane [m]; less the more of them lies opposite.
         middle: (N, 2) x and z of both patches' common centre, grasp frame [m].
     """
@@ -149,12 +163,13 @@ def close_pads(mesh: trimesh.Trimesh, T_part_grasp: Floats, widths: Floats) -> C
     z = (np.arange(_GRID[1]) + 0.5) / _GRID[1] * PAD_SIZE[2] - PAD_SIZE[2]
     grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1).reshape(-1, 2)
     sides = [_first_touch(mesh, T_part_grasp, widths, grid, side) for side in (1.0, -1.0)]
-    (reach_p, cosine_p), (reach_n, cosine_n) = sides  # along +y and along -y from the grasp's origin
+    (reach_p, normal_p), (reach_n, normal_n) = sides  # along +y and along -y from the grasp's origin
     top, bottom = reach_p.max(axis=1), reach_n.max(axis=1)
     touch = [reach_p >= top[:, None] - _TOUCH, reach_n >= bottom[:, None] - _TOUCH]
     touch = [t & np.isfinite(r) for t, r in zip(touch, (reach_p, reach_n), strict=True)]
     cells = [np.maximum(t.sum(axis=1), 1) for t in touch]
-    cosines = [(t * c).sum(axis=1) / n for t, c, n in zip(touch, (cosine_p, cosine_n), cells, strict=True)]
+    y = T_part_grasp[:, :3, 1]
+    leans = (_alignment(touch[0], normal_p, y), _alignment(touch[1], normal_n, -y))
     centres = [(t @ grid) / n[:, None] for t, n in zip(touch, cells, strict=True)]
     opposed = (touch[0] & touch[1]).sum(axis=1) / np.minimum(*cells)
     offset = np.linalg.norm(centres[0] - centres[1], axis=1)
@@ -164,10 +179,21 @@ def close_pads(mesh: trimesh.Trimesh, T_part_grasp: Floats, widths: Floats) -> C
         shift=shift,
         width=top + bottom,
         area=np.minimum(touch[0].sum(axis=1), touch[1].sum(axis=1)) / len(grid),
-        alignment=np.minimum(*cosines),
+        alignment=np.minimum(*leans),
         offset=offset * (1 - opposed),
         middle=(centres[0] + centres[1]) / 2,
     )
+
+
+def _alignment(touch: NDArray[np.bool_], normals: Floats, outward: Floats) -> Floats:
+    """Return (N,) cosines between ``outward`` (N, 3) and the mean of (N, R, 3) normals where (N, R) ``touch``.
+
+    The mean normal, not the mean cosine: a cylinder held across its axis is held straight.
+    """
+    mean = np.einsum("nr,nri->ni", touch.astype(np.float64), normals)
+    length = np.linalg.norm(mean, axis=1)
+    cosine: Floats = np.einsum("ni,ni->n", mean, outward) / np.where(length > 0, length, 1.0)
+    return cosine
 
 
 def _first_touch(
@@ -177,7 +203,7 @@ def _first_touch(
 
     Returns:
         (N, R) distance of the hit surface from the grasp's origin towards that side [m], -inf where nothing is met, and
-        the (N, R) cosine between its normal and the side's direction.
+        the (N, R, 3) normals there, part frame.
     """
     R, origin = T_part_grasp[:, :3, :3], T_part_grasp[:, :3, 3]
     start = widths / 2 + _START
@@ -192,6 +218,6 @@ def _first_touch(
     cosine = np.einsum("ni,ni->n", normal, outward)
     with np.errstate(divide="ignore", invalid="ignore"):
         travel = np.einsum("ni,ni->n", normal, flat - mesh.triangles[face, 0]) / cosine
-    travel = np.where((face >= 0) & (cosine > 1e-6), travel, np.inf).reshape(len(widths), -1)
+    travel = np.where((face >= 0) & (cosine > 1e-6), travel, np.inf).reshape(len(widths), len(grid))
     reach = start[:, None] - travel
-    return reach, cosine.reshape(len(widths), -1)
+    return reach, normal.reshape(rays.shape)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -184,7 +185,7 @@ def _surroundings(
         runner_up = np.partition(rasters, len(rasters) - 2, axis=0)[-2]
     for row, own in enumerate(rasters):
         outline = np.nonzero(np.isfinite(own))  # empty for an estimate beside the map: then nothing is clear either
-        surface = own[outline]
+        surface = cv2.dilate(own, np.ones((3, 3), np.uint8))[outline]  # edge cells may hold a flank's lower points only
         # 3 % of the outline: less is two parts side by side whose edges share cells.
         above = (rasters[:, outline[0], outline[1]] > surface + 0.002).sum(axis=1) > 0.03 * len(surface)
         buried = float((scene.measured[outline] > surface + 0.005).mean()) if len(surface) else 1.0

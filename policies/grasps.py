@@ -15,7 +15,7 @@ from policies.gripper import GripperModel, gripper_model
 from policies.outcomes import Grasp
 
 _log = logging.getLogger(__name__)
-_VERSION = 1  # raised whenever the code below would give another set
+_VERSION = 2  # raised whenever the code below would give another set
 _SURFACE_DENSITY = 1.5e6  # points per square metre: five in a cell of 2 mm
 _SYMMETRY_STEPS = 24  # turns about a continuous axis
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -170,16 +170,23 @@ def _clear_openings(
     """Return (N, E): whether approach, closing and contact cut nothing of the part but what the pads press on."""
     T_part_tcp = gripper.tcp_from_grasp(T_part_grasp, width)
     margin = settings.part_margin
+
+    def narrow(clear: NDArray[np.bool_], gap: Floats, margin: float, pad_margin: float, retreat: float = 0.0) -> None:
+        todo = np.flatnonzero(clear)
+        margins = {"margin": margin, "pad_margin": pad_margin}
+        clear[todo] = solid.clear(T_part_tcp[todo], gap[todo], gripper, retreat=retreat, **margins)
+
     # At contact the pads' faces lie on the part, and tilted by up to 2 degrees; the distance is good to half a voxel.
-    closed = solid.clear(T_part_tcp, width, gripper, margin=0.5 * margin, pad_margin=-1.0e-3)
+    closes = np.ones(len(width), dtype=np.bool_)
+    narrow(closes, width, 0.5 * margin, -1.0e-3)
     columns = []
     for extra in settings.extras:
         opening = width + 2 * extra
-        clear = closed & (opening <= settings.max_opening)
-        for gap, retreat in ((opening, 0.0), (width + extra, 0.0), (opening, 0.02), (opening, 0.045)):
-            todo = np.flatnonzero(clear)
-            poses = T_part_tcp[todo], gap[todo]
-            clear[todo] = solid.clear(*poses, gripper, margin=margin, pad_margin=margin, retreat=retreat)
+        for gap in (width + extra, opening):  # whoever comes from further out passes here as well
+            narrow(closes, gap, 0.0, 0.0)
+        clear = closes & (opening <= settings.max_opening)
+        for retreat in (0.0, 0.02, 0.045):
+            narrow(clear, opening, margin, margin, retreat)
         columns.append(clear)
     return np.stack(columns, axis=1)
 
@@ -195,7 +202,7 @@ def _quality(T: Floats, contacts: Contacts, model: PartModel, settings: GraspSet
     spare = (settings.max_opening - contacts.width) / 0.010  # 10 mm to spare is plenty
     terms = (
         (0.30, contacts.area / 0.30),  # a third of the pad's face is as good as all of it
-        (0.25, (contacts.alignment - settings.min_cosine) / (1 - settings.min_cosine)),
+        (0.25, 1 - np.arccos(np.clip(contacts.alignment, -1, 1)) / np.arctan(settings.friction)),
         (0.25, 1 - lever / (0.6 * model.d_max)),
         (0.10, 1 - contacts.offset / (settings.friction * np.maximum(contacts.width, 0.01))),
         (0.10, spare),

@@ -59,13 +59,19 @@ class HeightMap:
         stride = _stride(frame, cell)
         T_bin_cam = T_bin_world @ frame.T_world_cam
         raise_cells_from_depth(measured, origin, cell, frame.depth, frame.K, T_bin_cam, stride)
+        inner = slice(ring, ring + int(inside[0])), slice(ring, ring + int(inside[1]))
+        # What is seen in the cells along a wall is the wall's face: they count as holes, as high as the next cells in.
+        edge = np.zeros(measured.shape, dtype=np.bool_)
+        edge[inner] = True
+        edge[inner[0].start + 1 : inner[0].stop - 1, inner[1].start + 1 : inner[1].stop - 1] = False
+        measured[edge] = _EMPTY
         empty = cls(
             T_bin_world=T_bin_world,
             origin=origin,
             cell=cell,
             measured=measured,
             heights=measured,
-            inner=(slice(ring, ring + int(inside[0])), slice(ring, ring + int(inside[1]))),
+            inner=inner,
             rim=float(workspace.inner_size[2]),
             outside=-wall,
         )

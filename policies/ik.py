@@ -1,8 +1,8 @@
 """Inverse kinematics of the arm: one pose, or a straight line of poses, to joint positions.
 
 mink's differential IK in a loop, on a model whose jaw is rigid (six joints, 0.1 ms an iteration). A pose fixes the
-gripper, so the collision avoidance limit can only choose between the arm's postures; it costs 2 to 4 times as much
-an iteration, hence it comes second: solve freely, ask the scene for contacts, and only then solve with the limit on.
+gripper, so the collision avoidance limit can only choose between the arm's postures, and it makes an iteration several
+times as dear. Hence it comes last: solve freely, ask the scene for contacts, and only then solve with the limit on.
 """
 
 from collections.abc import Iterator, Sequence
@@ -204,10 +204,10 @@ class IkSolver:
         path = [start]
         for T_world_tcp in interpolate_poses(self.tcp_pose(start), T_world_tcp_to, self.settings.line_spacing):
             q, _ = self._descend(checked_pose(T_world_tcp), path[-1])
-            if np.max(np.abs(q - path[-1])) > self.settings.max_jump:
-                return CartesianPath(q=np.array(path), complete=False, jumped=True)
             if not self._reached(*pose_residual(self.tcp_pose(q), T_world_tcp)):
                 return CartesianPath(q=np.array(path), complete=False)
+            if np.max(np.abs(q - path[-1])) > self.settings.max_jump:
+                return CartesianPath(q=np.array(path), complete=False, jumped=True)
             path.append(q)
         return CartesianPath(q=np.array(path), complete=True)
 

@@ -29,13 +29,14 @@ class PlannerSettings:
 
     clearance: float = 0.01  # of the robot from the cell while it traverses [m]
     line_clearance: float = 0.0  # on straight lines, which end in narrow places [m]
+    escape_depth: float = 0.004  # that the robot may be in the cell when it sets out, where contacts are soft [m]
     pile_clearance: float = 0.015  # of the tool's points from pile, rim and tray while it traverses [m]
     via_heights: tuple[float, ...] = (0.06, 0.12, 0.20)  # above start and goal, tried in turn [m]
     extensions: tuple[float, ...] = (0.0, 0.05, 0.1)  # of a standoff that leaves no way in, tried in turn [m]
     line_speed: float = 1.0  # share of the velocity limit on straight lines
 
     def __post_init__(self) -> None:
-        for name in ("clearance", "line_clearance", "pile_clearance", "via_heights", "extensions"):
+        for name in ("clearance", "line_clearance", "escape_depth", "pile_clearance", "via_heights", "extensions"):
             if np.min(getattr(self, name), initial=0.0) < 0:
                 raise ValueError(f"{name} must be at least 0, got {getattr(self, name)}")
         if not 0 < self.line_speed <= 1:
@@ -89,13 +90,29 @@ class MotionPlanner:
         self._checker = PathChecker(scene)
 
     def plan_line(
-        self, q_from: Floats, T_world_tcp_to: Floats, tool: Tool, *, speed: float | None = None, scale: float = 1.0
+        self,
+        q_from: Floats,
+        T_world_tcp_to: Floats,
+        tool: Tool,
+        *,
+        escaping: bool = False,
+        speed: float | None = None,
+        scale: float = 1.0,
     ) -> MotionPlan:
-        """Plan a straight line of the tcp from a (6,) posture to a (4, 4) pose, at ``speed`` of the velocity limit."""
+        """Plan a straight line of the tcp.
+
+        Args:
+            q_from: (6,) start [rad].
+            T_world_tcp_to: (4, 4) goal.
+            tool: Jaw and carried part.
+            escaping: Whether the line leads away from contacts, which may then be as deep as the settings say.
+            speed: Share of the velocity limit; the settings' if None.
+            scale: Share of velocity and acceleration limits.
+        """
         line = self._line(q_from, T_world_tcp_to, speed)
         if isinstance(line, MotionPlan):
             return line
-        touch = self._touch(line, tool)
+        touch = self._touch(line, tool, escaping=escaping)
         return touch if touch is not None else self._timed([line], scale)
 
     def plan_transfer(
@@ -166,10 +183,9 @@ class MotionPlanner:
         self, up: JointPath, into: JointPath, tool: Tool, obstacle_height: HeightFunction | None
     ) -> JointPath | MotionPlan:
         """Find a free way from the end of one straight leg to the beginning of another."""
-        for straight in (up, into):
-            touch = self._touch(straight, tool)
-            if touch is not None:
-                return touch
+        touch = self._touch(up, tool, escaping=len(up.q) > 1) or self._touch(into, tool)
+        if touch is not None:
+            return touch
         detail = ""
         for waypoints in self._routes(up.q[-1], into.q[0]):
             knots = smooth_path(
@@ -206,9 +222,10 @@ class MotionPlanner:
         result = self._ik.solve(make_transform(translation=(0, 0, height)) @ self._ik.tcp_pose(q), q)
         return result.q if result.ok else None
 
-    def _touch(self, line: JointPath, tool: Tool) -> MotionPlan | None:
+    def _touch(self, line: JointPath, tool: Tool, *, escaping: bool = False) -> MotionPlan | None:
         """Return the failure of a straight leg that touches the cell; None if it is free."""
-        verdict = self._checker.check(line.q, opening=tool.opening, clearance=self.settings.line_clearance)
+        clearance = -self.settings.escape_depth if escaping else self.settings.line_clearance
+        verdict = self._checker.check(line.q, opening=tool.opening, clearance=clearance)
         if verdict.free:
             return None
         return MotionPlan(failure=PlanFailure.COLLISION, detail=f"on the line: {verdict.reason}")

@@ -55,8 +55,8 @@ class PlanningScene:
         self._first_qpos = [self.model.joint(name).qposadr[0] for name in ARM_JOINTS]
         self._drivers, self._openings = self._calibrate_jaw()
         mujoco.mj_kinematics(self.model, self._data)
-        boxes = (self.model.geom_bodyid == 0) | np.isin(self.model.geom_contype, [_STATIC])
-        self._boxes = np.flatnonzero(boxes & (self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX))
+        is_box = self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
+        self._boxes = np.flatnonzero(is_box & (self.model.geom_contype == _STATIC))
 
     @property
     def limits(self) -> Floats:
@@ -92,10 +92,11 @@ class PlanningScene:
         Args:
             q: (6,) posture [rad].
             opening: Distance between the pads [m]; None for the open jaw.
-            clearance: Nearer than this to the cell counts as contact [m]; at most ``MAX_CLEARANCE``.
+            clearance: Nearer than this to the cell counts as contact [m]; at most ``MAX_CLEARANCE``. Below zero it is
+                how deep the robot may be in the cell, since simulated contacts are soft.
         """
-        if not 0 <= clearance <= MAX_CLEARANCE:
-            raise ValueError(f"clearance must be in [0, {MAX_CLEARANCE}] m, got {clearance}")
+        if not -MAX_CLEARANCE <= clearance <= MAX_CLEARANCE:
+            raise ValueError(f"clearance must be in [-{MAX_CLEARANCE}, {MAX_CLEARANCE}] m, got {clearance}")
         self._place(q, opening)
         mujoco.mj_collision(self.model, self._data)
         if self._data.ncon == 0:

@@ -50,12 +50,12 @@ def design(name: str) -> Design:
         raise ValueError(f"part must be one of {', '.join(CATALOGUE)}, got {name!r}")
     build, density, symmetry = _BUILDERS[name]
     bodies, bores = build(FACETS)
-    coarse, _ = build(PIECE_FACETS)
+    pieces = tuple(body.convex_hull for body in build(PIECE_FACETS)[0])  # without the vertices in the caps' middles
     mesh = trimesh.boolean.difference([trimesh.boolean.union(bodies, engine="manifold"), *bores], engine="manifold")
     origin = mesh.center_mass.copy()
-    for solid in (mesh, *coarse):
+    for solid in (mesh, *pieces):
         solid.apply_translation(-origin)
-    return Design(name=name, mesh=mesh, pieces=coarse, density=density, symmetry=symmetry)
+    return Design(name=name, mesh=mesh, pieces=pieces, density=density, symmetry=symmetry)
 
 
 def part_a(facets: int) -> tuple[Solids, Solids]:
@@ -82,10 +82,10 @@ def part_b(facets: int) -> tuple[Solids, Solids]:
 
 def part_c(facets: int) -> tuple[Solids, Solids]:
     """Machined block: a shelf and a tower, a bore down through each; x from tower to shelf, z up."""
-    shelf = box((0.0, 0.072), (-0.025, 0.025), (0.0, 0.020))
-    tower = box((0.0, 0.034), (-0.025, 0.025), (0.0, 0.044))
-    down = cylinder(0.014, -0.01, 0.03, at=(0.053, 0.0, 0.0), facets=facets // 2)
-    along = cylinder(0.011, -0.01, 0.05, axis=X, at=(0.0, 0.0, 0.032), facets=facets // 2)
+    shelf = box((0.0, 0.066), (-0.027, 0.027), (0.0, 0.020))
+    tower = box((0.0, 0.032), (-0.027, 0.027), (0.0, 0.048))
+    down = cylinder(0.014, -0.01, 0.03, at=(0.049, 0.0, 0.0), facets=facets // 2)
+    along = cylinder(0.011, -0.01, 0.05, axis=X, at=(0.0, 0.0, 0.034), facets=facets // 2)
     return (shelf, tower), (down, along)
 
 

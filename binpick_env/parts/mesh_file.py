@@ -72,6 +72,8 @@ def _parse(path: Path) -> trimesh.Trimesh:
         )
     if not np.all(np.isfinite(mesh.vertices)):
         raise ValueError(f"{path} has vertices that are not finite")
+    if np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=1e-6 * float(mesh.scale)) < 3:
+        raise ValueError(f"{path} is flat: a part must enclose a volume")
     return mesh
 
 
