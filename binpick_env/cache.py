@@ -62,7 +62,7 @@ def _write(path: Path, arrays: Arrays) -> None:
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
         unfinished = Path(file.name)
         try:
-            np.savez(file, **dict(arrays))
+            np.savez(file, allow_pickle=False, **dict(arrays))
             file.flush()
             unfinished.replace(path)
         except OSError:

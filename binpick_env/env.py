@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import replace
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal, cast
 
 import gymnasium as gym
 import numpy as np
@@ -85,7 +85,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
     v0: first release.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium declares it so
         "render_modes": ["human", "rgb_array", "depth_array"],
         "render_fps": round(1 / CONTROL_PERIOD),
     }
@@ -125,12 +125,16 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.camera = DepthCamera(self.simulation.model, self.config.camera, self.workspace, geoms, threads=threads)
         self._renderer = CellRenderer(self.simulation)
         self.capture: Capture | None = None
-        self.observation_space = self._observation_space()
-        self.action_space = self._action_space()
+        self._observed = self._observation_space()
+        self.observation_space = cast(spaces.Space[Observation], self._observed)
+        self._low, self._high = self._action_limits()
+        self.action_space = spaces.Box(self._low.astype(np.float32), self._high.astype(np.float32), dtype=np.float32)
 
     # --- Gymnasium -------------------------------------------------------------------------------------------------
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
         """Drop and settle a new pile. ``options={"num_parts": n}`` sets its size for this episode."""
         super().reset(seed=seed)
         low, high = self._num_parts
@@ -150,13 +154,12 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by 0.04 s towards the targets of ``action``."""
-        action = np.asarray(action, dtype=np.float64)
-        if action.shape != (7,) or not np.all(np.isfinite(action)):
+        if np.shape(action) != (7,) or not np.all(np.isfinite(action)):
             raise ValueError(f"action must be (7,) and finite, got {action}")
-        action = np.clip(action, self.action_space.low, self.action_space.high)
-        self.simulation.step(action[:6], float(action[6]))
+        targets = np.clip(np.asarray(action, dtype=np.float64), self._low, self._high)
+        self.simulation.step(targets[:6], float(targets[6]))
         self._steps += 1
-        events = self._judge.update(float(action[6]))
+        events = self._judge.update(float(targets[6]))
         self.events.extend(events)
         reward = float(sum(event.kind is Delivery.DELIVERED for event in events))
         self.delivered += int(reward)
@@ -165,7 +168,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.show()
         return self._observe(), reward, self.remaining == 0, False, self._info(events)
 
-    def render(self) -> NDArray[Any] | None:  # type: ignore[override]
+    def render(self) -> NDArray[Any] | None:
         """Return a picture of the cell (`rgb_array`) or the camera's depth [m] (`depth_array`)."""
         if self.render_mode == "rgb_array":
             return self._renderer.picture()
@@ -259,7 +262,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
         if self._obs_mode == "rgbd":
             values["image"] = self.frame.grey[..., None].copy()
             values["depth"] = self.frame.depth[..., None].copy()
-        boxes = self.observation_space.spaces
+        boxes = {k: box for k, box in self._observed.items() if isinstance(box, spaces.Box)}
         return {k: np.clip(v, boxes[k].low, boxes[k].high).astype(boxes[k].dtype) for k, v in values.items()}
 
     def _info(self, events: list[DeliveryEvent]) -> dict[str, Any]:
@@ -274,10 +277,9 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
             "is_success": success,
         }
 
-    def _action_space(self) -> spaces.Box:
+    def _action_limits(self) -> tuple[Floats, Floats]:
         limits = self.simulation.model.actuator_ctrlrange[:6]
-        low, high = np.append(limits[:, 0], 0.0), np.append(limits[:, 1], 1.0)
-        return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        return np.append(limits[:, 0], 0.0), np.append(limits[:, 1], 1.0)
 
     def _observation_space(self) -> spaces.Dict:
         def box(low: float, high: float, *shape: int, dtype: type = np.float32) -> spaces.Box:

@@ -106,7 +106,9 @@ def make_candidate(
 
 def _missing(mode: str, lacks: str) -> Callable[[PoseNoise | None], Perceiver]:
     def refuse(noise: PoseNoise | None) -> Perceiver:
-        raise NotImplementedError(f"perception={mode!r} needs {lacks}, which this version lacks; use perception='oracle'")
+        raise NotImplementedError(
+            f"perception={mode!r} needs {lacks}, which this version lacks; use perception='oracle'"
+        )
 
     return refuse
 

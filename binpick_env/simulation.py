@@ -31,7 +31,7 @@ class Push:
 
 
 class Simulation:
-    """One cell with room for ``capacity`` copies of a part; the parts out of play hang parked, weightless and asleep."""
+    """One cell with room for ``capacity`` copies of a part; those out of play hang parked, weightless and asleep."""
 
     def __init__(self, config: CellConfig, part: Part, capacity: int) -> None:
         self.config = config
@@ -97,12 +97,12 @@ class Simulation:
     @property
     def joint_positions(self) -> Floats:
         """(6,) arm joints [rad]."""
-        return self.data.qpos[self._arm_qpos].copy()
+        return np.array(self.data.qpos[self._arm_qpos])
 
     @property
     def joint_velocities(self) -> Floats:
         """(6,) arm joints [rad/s]."""
-        return self.data.qvel[self._arm_dof].copy()
+        return np.array(self.data.qvel[self._arm_dof])
 
     @property
     def gripper_position(self) -> float:
@@ -132,11 +132,12 @@ class Simulation:
         """Return per part the larger of its speed [m/s] and its rim's speed from rotation [m/s]; 0 when asleep."""
         velocity = self.data.qvel[self._part_dof]
         spin = np.linalg.norm(velocity[:, 3:], axis=1) * self.part.model.d_max / 2
-        return np.maximum(np.linalg.norm(velocity[:, :3], axis=1), spin)
+        speeds: Floats = np.maximum(np.linalg.norm(velocity[:, :3], axis=1), spin)
+        return speeds
 
     def asleep(self) -> NDArray[np.bool_]:
         """Return the (capacity,) mask of sleeping parts."""
-        return self.data.tree_asleep[self._part_tree] >= 0
+        return np.array(self.data.tree_asleep[self._part_tree] >= 0)
 
     # --- parts -----------------------------------------------------------------------------------------------------
 
@@ -193,10 +194,10 @@ class Simulation:
         joint_acceleration[self._arm_dof] = acceleration
         torque = np.zeros(self.model.nv)
         mujoco.mj_mulM(self.model, self.data, torque, joint_acceleration)
-        return torque[self._arm_dof]
+        return np.array(torque[self._arm_dof])
 
     def _jaw_ramp(self, gripper: float) -> tuple[float, float]:
-        """Return the jaw's target at the period's start and end; opening begins where the jaw is, not where it squeezes to."""
+        """Return the jaw's target at the period's start and end; opening begins where the jaw is, not its target."""
         stroke = CONTROL_PERIOD / self.config.robot.gripper_time
         goal = float(np.clip(gripper, 0.0, 1.0))
         start = min(self.gripper_target, self.gripper_position) if goal < self.gripper_target else self.gripper_target

@@ -14,7 +14,7 @@ class Frame:
 
     Attributes:
         grey: (H, W) uint8 image.
-        depth: (H, W) float32 distance along the optical axis [m]; 0 where there is no measurement (NaN is turned into 0).
+        depth: (H, W) float32 distance along the optical axis [m]; 0 where there is no measurement (NaN becomes 0).
         K: (3, 3) pinhole matrix [px], pixel centres at integers.
         T_world_cam: (4, 4) camera pose, OpenCV axes.
     """
@@ -80,4 +80,5 @@ class Workspace:
         half = self.inner_size[:2] / 2 - margin
         beside = np.all(np.abs(points_bin[:, :2]) <= half, axis=1)
         z = points_bin[:, 2]
-        return beside & (z >= margin) & (z <= self.inner_size[2] + headroom)
+        inside: NDArray[np.bool_] = beside & (z >= margin) & (z <= self.inner_size[2] + headroom)
+        return inside

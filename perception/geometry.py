@@ -62,10 +62,11 @@ def rotation_about(axis: ArrayLike, angle: float) -> Floats:
 
 def rotation_angle(rotation: Floats) -> Floats:
     """Return the angle [rad] in [0, pi] of (..., 3, 3) rotations."""
-    # atan2 of the skew part and the trace keeps its precision at 0 and at pi, where acos of the trace loses half the digits.
+    # atan2 of the skew part and the trace keeps its precision at 0 and pi, where acos of the trace loses half of it.
     skew = rotation - np.swapaxes(rotation, -1, -2)
     sine = 0.5 * np.sqrt(skew[..., 2, 1] ** 2 + skew[..., 0, 2] ** 2 + skew[..., 1, 0] ** 2)
-    return np.arctan2(sine, 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0))
+    angle: Floats = np.arctan2(sine, 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0))
+    return angle
 
 
 def rotation_6d(rotation: Floats) -> Floats:

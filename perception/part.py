@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import trimesh
+from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from perception.geometry import Floats, require_shape, rotation_about, rotation_angle
@@ -46,7 +47,8 @@ class Symmetry:
         if self.axis is None:
             return self.rotations
         turns = np.stack([rotation_about(self.axis, 2 * np.pi * k / steps) for k in range(steps)])
-        return np.einsum("sij,tjk->stik", self.rotations, turns).reshape(-1, 3, 3)
+        products: Floats = np.einsum("sij,tjk->stik", self.rotations, turns)
+        return products.reshape(-1, 3, 3)
 
     def distance(self, rotation_a: Floats, rotation_b: Floats) -> float:
         """Return the smallest angle [rad] between two (3, 3) part rotations modulo the group."""
@@ -82,13 +84,18 @@ class PartModel:
         """Measure ``d_max`` and ``centre`` of a watertight mesh [m]; no symmetry means the trivial group."""
         if not mesh.is_watertight:
             raise ValueError(f"the mesh of {name!r} must be watertight (every edge shared by two faces)")
-        return cls(name=name, mesh=mesh, d_max=diameter(mesh.vertices), symmetry=symmetry or Symmetry(),
-                   centre=np.asarray(mesh.center_mass, dtype=np.float64))
+        return cls(
+            name=name,
+            mesh=mesh,
+            d_max=diameter(mesh.vertices),
+            symmetry=symmetry or Symmetry(),
+            centre=np.asarray(mesh.center_mass, dtype=np.float64),
+        )
 
 
 def diameter(points: Floats) -> float:
     """Return the largest distance between two of (N, 3) points, exactly (only hull vertices can realise it)."""
-    hull = trimesh.PointCloud(points).convex_hull.vertices
+    hull = points[ConvexHull(points).vertices]
     if len(hull) <= 4000:
         return float(pdist(hull).max())
     blocks = [*range(0, len(hull), 1000), len(hull)]

@@ -46,6 +46,13 @@ class Solid:
         field = np.where(occupied, 0.5 - inside, outside - 0.5) * voxel
         return cls(field=field, origin=origin, voxel=voxel)
 
+    def distance(self, points_part: Floats) -> Floats:
+        """Return the (N,) signed distance [m] of (N, 3) points, that of the nearest voxel; infinite beyond the grid."""
+        cells = np.rint((points_part - self.origin) / self.voxel).astype(int)
+        inside = np.all((cells >= 0) & (cells < self.field.shape), axis=1)
+        i, j, k = np.where(inside[:, None], cells, 0).T
+        return np.where(inside, self.field[i, j, k], np.inf)
+
     def clear(
         self,
         T_part_tcp: Floats,

@@ -11,11 +11,11 @@ from binpick_env.cache import Arrays, cached_arrays, digest
 from perception.geometry import Floats, make_transform
 from perception.part import PartModel
 from policies.antipodal import Contacts, Solid, close_pads, grasps_on_lines, opposite_faces
-from policies.gripper import GripperModel, gripper_model
+from policies.gripper import PAD_SIZE, GripperModel, gripper_model
 from policies.outcomes import Grasp
 
 _log = logging.getLogger(__name__)
-_VERSION = 2  # raised whenever the code below would give another set
+_VERSION = 3  # raised whenever the code below would give another set
 _SURFACE_DENSITY = 1.5e6  # points per square metre: five in a cell of 2 mm
 _SYMMETRY_STEPS = 24  # turns about a continuous axis
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -34,6 +34,7 @@ class GraspSettings:
     extras: tuple[float, ...] = (0.003, 0.005, 0.008, 0.012)  # openings tried: width + twice this
     max_opening: float = 0.084  # the stroke is 0.085
     part_margin: float = 0.001  # that the open gripper keeps from the part
+    side_margin: float = 0.002  # beside a closed pad; a pad wedged between two collars does not let go of the part
     min_area: float = 0.04  # share of a pad's face that must touch
     max_grasps: int = 3000
     max_checked: int = 20000  # poses whose pads are closed, drawn evenly from those that do not cut the part
@@ -151,8 +152,9 @@ def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, s
     quality = _quality(T, contacts, model, settings)
     T, width, quality = T[firm], contacts.width[firm], quality[firm]
     clear = _clear_openings(solid, T, width, gripper, settings)
-    kept = np.flatnonzero(clear.any(axis=1))
-    counts["clear while closing"] = len(kept)
+    counts["clear while closing"] = int(clear.any(axis=1).sum())
+    kept = np.flatnonzero(clear.any(axis=1) & _comes_free(solid, T, width, settings.side_margin))
+    counts["not wedged"] = len(kept)
     surface, _ = trimesh.sample.sample_surface(mesh, max(int(mesh.area * _SURFACE_DENSITY), 1000), seed=seed)
     found = GraspSet(
         T_part_grasp=T, width=width, quality=quality, clear=clear, extras=np.array(settings.extras), surface=surface
@@ -189,6 +191,21 @@ def _clear_openings(
             narrow(clear, opening, margin, margin, retreat)
         columns.append(clear)
     return np.stack(columns, axis=1)
+
+
+def _comes_free(solid: Solid, T_part_grasp: Floats, width: Floats, margin: float) -> NDArray[np.bool_]:
+    """Return (N,): whether nothing of the part lies within ``margin`` [m] of the narrow sides of the closed pads."""
+    across, thickness, length = PAD_SIZE[0] / 2 + margin, PAD_SIZE[1], PAD_SIZE[2]
+    depth = np.linspace(0.0015, thickness, 4)  # behind the pad's face; the first millimetre is what the pad presses on
+    x, y, z = np.meshgrid([-across, across], depth, np.linspace(-length, margin, 16), indexing="ij")
+    free = np.ones(len(width), dtype=np.bool_)
+    for side in (-1.0, 1.0):
+        for at in np.stack([x, side * y, z], axis=-1).reshape(-1, 3):
+            point = np.tile(at, (len(width), 1))
+            point[:, 1] += side * width / 2
+            points_part = np.einsum("nij,nj->ni", T_part_grasp[:, :3, :3], point) + T_part_grasp[:, :3, 3]
+            free &= solid.distance(points_part) > 0
+    return free
 
 
 def _quality(T: Floats, contacts: Contacts, model: PartModel, settings: GraspSettings) -> Floats:

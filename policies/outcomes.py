@@ -7,7 +7,10 @@ from perception.geometry import Floats
 
 
 class GraspOutcome(StrEnum):
-    """How an executed attempt ended, judged from the physics. An attempt begins when the gripper leaves the pre-grasp."""
+    """How an executed attempt ended, judged from the physics.
+
+    An attempt begins when the gripper leaves the pre-grasp.
+    """
 
     DELIVERED = "delivered"  # exactly one part, released over the tray, at rest in it
     COLLIDED = "collided"  # hit the bin or pressed on a part on the way down; the descent was broken off
@@ -102,4 +105,3 @@ class PickResult:
     def success(self) -> bool:
         """Whether exactly one part was delivered."""
         return self.outcome is GraspOutcome.DELIVERED
-

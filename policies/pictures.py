@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.env import BinPickEnv
-from binpick_env.render import cast_picture, look_at
+from binpick_env.render import PicturePainter, look_at
 from binpick_env.simulation import Simulation
 from perception.frame import Frame
 from perception.geometry import Floats, invert_transform, project_points, transform_points
@@ -34,7 +34,7 @@ class Album:
         if self._folder is None:
             return ""
         start = time.perf_counter()
-        picture = cast_picture(env.simulation, bin_viewpoint(env.simulation), *OVERVIEW)
+        picture = PicturePainter(env.simulation).paint(bin_viewpoint(env.simulation), *OVERVIEW)
         return self._keep(self._folder, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), moment, start)
 
     def failure(self, frame: Frame, result: PickResult, number: int) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.env import BinPickEnv
-from binpick_env.render import cast_picture, look_at
+from binpick_env.render import PicturePainter, look_at
 from perception.geometry import Floats, make_transform, rotation_about
 from policies.ik import IkSolver
 from policies.planning_scene import PlanningScene
@@ -29,17 +29,15 @@ def portrait(part: str, seed: int, width: int, height: int) -> NDArray[np.uint8]
 
     Raises:
         RuntimeError: The arm does not reach over the bin.
-
-    Note: about 8 us a pixel: rays are cast at twice the resolution.
     """
     env = BinPickEnv(part=part)
     try:
         env.reset(seed=seed)
         _move_over_bin(env)
         x, y = env.config.bin.position
-        T_world_cam = look_at(np.array([x + 0.95, y - 0.95, 0.95]), np.array([x - 0.20, y - 0.10, 0.28]))
+        T_world_cam = look_at(np.array([x + 1.10, y - 1.10, 1.05]), np.array([x - 0.22, y - 0.10, 0.33]))
         k = _SUPERSAMPLING
-        large = cast_picture(env.simulation, T_world_cam, k * width, k * height, focal_px=1.15 * k * width)
+        large = PicturePainter(env.simulation).paint(T_world_cam, k * width, k * height, focal_px=1.15 * k * width)
     finally:
         env.close()
     picture = cv2.resize(large, (width, height), interpolation=cv2.INTER_AREA)

@@ -32,6 +32,7 @@ def git_commit() -> str:
         described = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
             cwd=root, capture_output=True, text=True, timeout=10, check=True,
+            env=os.environ | {"GIT_OPTIONAL_LOCKS": "0"},  # only look: a commit may be under way
         )  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return ""

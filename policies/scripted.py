@@ -2,16 +2,16 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from binpick_env.env import BinPickEnv
 from binpick_env.outcomes import Delivery
 from binpick_env.robot import HOME
-from binpick_env.simulation import CONTROL_PERIOD
 from perception.geometry import Floats, invert_transform, make_transform, transform_points
 from policies.clearance import RankSettings, RankStats, rank_grasps
+from policies.execution import Execution, ExecutionSettings
 from policies.grasps import sample_grasps
 from policies.gripper import gripper_model
 from policies.heightmap import HeightMap
@@ -26,18 +26,15 @@ T_SENSE = 0.5  # nominal exposure of a structured-light camera [s]
 
 @dataclass(frozen=True, kw_only=True)
 class PickerSettings:
-    """How the picker works. Lengths [m], times [s], forces [N]."""
+    """How the picker plans. Lengths [m]."""
 
-    rank: RankSettings = RankSettings()
+    rank: RankSettings = field(default_factory=RankSettings)
+    execution: ExecutionSettings = field(default_factory=ExecutionSettings)
     grasps_tried: int = 40  # for IK and a free path, best first, before the picker abstains
     standoff: float = 0.06  # length of the straight approach
     approach_speed: float = 0.5  # share of the joints' velocity limit on straight lines
     carry_scale: float = 0.7  # share of velocity and acceleration limits with a part in the jaw
-    stop_force: float = 60.0  # of contact on the way down, at which the descent is broken off
-    close_time: float = 0.6  # at most, for the jaw to come to rest
     release_height: float = 0.03  # of the carried part's lowest point above the tray's floor
-    release_time: float = 0.24  # for the jaw to open before the arm leaves
-    settle_time: float = 1.5  # at most, for the released part to be judged
     empty_gap: float = 0.0015  # between the pads; a jaw closed further holds nothing
 
 
@@ -83,7 +80,7 @@ class ScriptedPicker:
         if isinstance(plan, Abstention):
             return PickResult(abstention=plan, t_sense=T_SENSE, t_compute=compute, frame_id=frame_id)
         began, events_before = env.simulation.time, len(env.events)
-        execution = _Execution(env, self._settings)
+        execution = Execution(env, self._settings.execution)
         candidate = env.candidates[plan.grasp.candidate]
         planning = self._execute(plan, execution, candidate.T_world_part)
         kinds = [event.kind for event in env.events[events_before:]]
@@ -157,7 +154,7 @@ class ScriptedPicker:
 
     # --- execution -------------------------------------------------------------------------------------------------
 
-    def _execute(self, plan: _Plan, execution: "_Execution", T_world_part: Floats) -> float:
+    def _execute(self, plan: _Plan, execution: Execution, T_world_part: Floats) -> float:
         """Run the attempt and return the wall clock spent on planning on the way [s]."""
         settings = self._settings
         preshape = self._gripper.control(plan.grasp.opening)
@@ -175,7 +172,9 @@ class ScriptedPicker:
             carry = self._planner.plan_transfer(plan.q_grasp, HOME, Tool(opening=plan.grasp.width), lift=lift)
         planning = time.perf_counter() - started
         if carry.trajectory is None:
-            return planning + self._back_out(plan, execution)
+            execution.release()
+            execution.retrace()
+            return planning
         if not execution.carry(carry.trajectory, self._gripper.control(settings.empty_gap)):
             return planning + self._go_home(execution)
         execution.release()
@@ -193,7 +192,7 @@ class ScriptedPicker:
         reached = self._ik.solve(T_world_tcp, HOME)
         return reached.q if reached.ok else HOME
 
-    def _go_home(self, execution: "_Execution") -> float:
+    def _go_home(self, execution: Execution) -> float:
         """Lift out of the bin and go home with the jaw open; return the wall clock of planning [s]."""
         started = time.perf_counter()
         q = self._env.simulation.target.copy()
@@ -206,99 +205,6 @@ class ScriptedPicker:
             execution.follow(plan.trajectory, 0.0)
         return planning
 
-    def _back_out(self, plan: _Plan, execution: "_Execution") -> float:
-        """Let go where it was taken and leave the way it came."""
-        execution.release()
-        execution.retrace()
-        return 0.0
-
-
-class _Execution:
-    """Steps the environment through one attempt and remembers what its outcome depends on."""
-
-    def __init__(self, env: BinPickEnv, settings: PickerSettings) -> None:
-        self._env = env
-        self._settings = settings
-        self._way: list[Floats] = []
-        self._collided = False
-        self._held: dict[str, bool] = {}
-
-    def follow(self, trajectory: Trajectory, gripper: float, *, guard: bool = False) -> bool:
-        """Run a trajectory; with ``guard``, stop and return False when the robot pushes harder than it may."""
-        for q in trajectory.q[1:]:
-            self._step(q, gripper)
-            if guard and self._env.simulation.robot_push().force > self._settings.stop_force:
-                self._collided = True
-                return False
-        return True
-
-    def carry(self, trajectory: Trajectory, empty: float) -> bool:
-        """Lift and carry with the jaw closing; False as soon as the jaw is found empty after the lift.
-
-        Args:
-            trajectory: Its first mark is the lift's end.
-            empty: Gripper position from which the jaw holds nothing.
-        """
-        lifted = trajectory.marks[0]
-        for k, q in enumerate(trajectory.q[1:], start=1):
-            self._step(q, 1.0)
-            if k == lifted:
-                self._held["lifted"] = bool(self._env.simulation.gripped())
-                if self._env.simulation.gripper_position >= empty:
-                    return False
-        self._held["carried"] = bool(self._env.simulation.gripped())
-        return True
-
-    def close(self) -> None:
-        """Close the jaw and wait until it rests."""
-        simulation = self._env.simulation
-        last = -1.0
-        for k in range(round(self._settings.close_time / CONTROL_PERIOD)):
-            self._step(simulation.target, 1.0)
-            if k >= 3 and abs(simulation.gripper_position - last) < 2e-3:
-                break
-            last = simulation.gripper_position
-        self._held["closed"] = bool(simulation.gripped())
-
-    def release(self) -> None:
-        """Open the jaw."""
-        for _ in range(round(self._settings.release_time / CONTROL_PERIOD)):
-            self._step(self._env.simulation.target, 0.0)
-
-    def retrace(self) -> None:
-        """Go back the way that was come, with the jaw open."""
-        for q in reversed(self._way.copy()):
-            self._step(q, 0.0)
-
-    def await_judgement(self) -> None:
-        """Wait at rest until no released part is left to be judged."""
-        for _ in range(round(self._settings.settle_time / CONTROL_PERIOD)):
-            if not self._env.unjudged():
-                return
-            self._step(self._env.simulation.target, 0.0)
-
-    def outcome(self, kinds: list[Delivery]) -> GraspOutcome:
-        """Name the outcome from what left play during the attempt and from what was held when."""
-        if Delivery.DELIVERED in kinds:
-            return GraspOutcome.DELIVERED
-        if Delivery.DOUBLE in kinds:
-            return GraspOutcome.DOUBLE
-        if Delivery.LEFT_BIN in kinds:
-            return GraspOutcome.LEFT_BIN
-        if self._collided:
-            return GraspOutcome.COLLIDED
-        if not self._held.get("closed", False):
-            return GraspOutcome.MISSED
-        if not self._held.get("lifted", False):
-            return GraspOutcome.SLIPPED
-        if not self._held.get("carried", False):
-            return GraspOutcome.DROPPED
-        return GraspOutcome.NOT_SETTLED
-
-    def _step(self, q: Floats, gripper: float) -> None:
-        self._way.append(self._env.simulation.target.copy())
-        self._env.step(np.append(q, gripper).astype(np.float32))
-
 
 def _outline(vertices: Floats, count: int = 64) -> Floats:
     """Return at most ``count`` of (N, 3) vertices, spread by farthest-point sampling: the part's extent."""
@@ -308,5 +214,3 @@ def _outline(vertices: Floats, count: int = 64) -> Floats:
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(vertices - vertices[chosen[-1]], axis=1))
     return vertices[chosen]
-
-

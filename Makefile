@@ -1,0 +1,61 @@
+# Two commands are enough on a fresh machine with Python 3.11: `make pick` and `make test`.
+PYTHON ?= python3.11
+VENV ?= .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+JOBS ?= 2
+BENCH ?= cell
+ARGS ?=
+
+.PHONY: setup pick test test-fast lint type bench picture build clean help
+.DEFAULT_GOAL := help
+
+help:  ## list the targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+# A stamp is newer than what it was made from: a second call installs nothing.
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.run-stamp: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing binpick into $(VENV) ..."
+	$(PIP) -e .
+	@touch $@
+
+$(VENV)/.dev-stamp: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing binpick with everything for development into $(VENV) ..."
+	$(PIP) -e '.[learn,report,dev]' hatchling
+	@touch $@ $(VENV)/.run-stamp
+
+setup: $(VENV)/.dev-stamp  ## make .venv with everything for development
+
+pick: $(VENV)/.run-stamp  ## install, and run the main job on two bins of tees
+	$(BIN)/python scripts/pick.py --part tee --bins 2 $(ARGS)
+
+test: $(VENV)/.dev-stamp  ## install, and run every test
+	$(BIN)/python -m pytest -n $(JOBS) $(ARGS)
+
+test-fast: $(VENV)/.dev-stamp  ## the tests that take less than 3 minutes together
+	$(BIN)/python -m pytest -n $(JOBS) -m 'not slow' $(ARGS)
+
+lint: $(VENV)/.dev-stamp  ## ruff, and the direction of the imports
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+
+type: $(VENV)/.dev-stamp  ## mypy --strict
+	$(BIN)/mypy
+	$(BIN)/mypy scripts/*.py
+
+bench: $(VENV)/.run-stamp  ## a benchmark: make bench BENCH=cell ARGS='--save FILE'
+	$(BIN)/python scripts/bench.py $(BENCH) $(ARGS)
+
+picture: $(VENV)/.run-stamp  ## the README's picture
+	$(BIN)/python scripts/picture.py --part tee --seed 0 --out docs/cell.png
+
+build: $(VENV)/.dev-stamp  ## the wheel in dist/, tested alone from another directory
+	$(BIN)/python -m build --wheel --no-isolation --outdir dist
+	$(BIN)/python -m pytest tests/test_wheel.py -m slow
+
+clean:  ## remove what was made, results in runs/ excepted
+	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,114 @@
+"""The main job: pick bins with the scripted picker and print success rates with intervals."""
+
+import logging
+import sys
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from binpick_env.config import Backend, CameraConfig, SensorPreset
+from binpick_env.perceiver import Perception, PoseNoise
+from policies.evaluation import EvaluationConfig
+from policies.jobs import Job, run_job
+from policies.outcomes import PickResult
+from policies.records import BinRecord, json_text, write_atomically
+from policies.report import write_report
+from policies.summary import summarise
+from policies.tables import result_table
+from policies.video import check_video
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Pick bins of identical parts and print how well it went.
+
+    Every bin is kept as it is finished: the same command again goes on where it was stopped.
+    """
+
+    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
+    bins: int = 10  # how many bins
+    seed: int = 0  # bin i's own seed follows from this and i alone
+    perception: Perception = "oracle"  # oracle: true poses of the parts that are visible enough
+    sensor: SensorPreset = "good"  # the depth camera's noise
+    workers: int = 1  # processes; each computes on one core
+    min_parts: int = 20  # smallest fill of a bin
+    max_parts: int = 30  # largest fill
+    width: int = 1280  # of the camera's image [px]
+    height: int = 960  # [px]
+    backend: Backend = CameraConfig().backend  # what renders the camera's frames
+    noise_mm: float = 0.0  # the oracle's position error, standard deviation per axis [mm]
+    noise_deg: float = 0.0  # the oracle's rotation error, standard deviation [deg]
+    out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED unless given
+    json: Path | None = None  # where to write the numbers; results.json in the folder unless given
+    html: bool = True  # write report.html into the folder, with pictures
+    video: Path | None = None  # film the first bin into this .mp4 (slow without a GL driver; MUJOCO_GL names one)
+    video_limit: float = 60.0  # length of the film in simulated time [s]
+
+    def config(self) -> EvaluationConfig:
+        """Return what the numbers depend on."""
+        return EvaluationConfig(
+            part=self.part,
+            seed=self.seed,
+            perception=self.perception,
+            sensor=self.sensor,
+            num_parts=(self.min_parts, self.max_parts),
+            camera=CameraConfig(width=self.width, height=self.height, backend=self.backend),
+            pose_noise=PoseNoise(translation=self.noise_mm / 1000, rotation=float(np.radians(self.noise_deg))),
+        )
+
+    def folder(self) -> Path:
+        """Return where results go."""
+        return self.out or Path("runs") / f"pick-{Path(self.part).stem}-{self.perception}-{self.seed}"
+
+
+def main(args: Arguments) -> int:
+    """Run the job; return the exit code."""
+    folder = args.folder()
+    try:
+        config = args.config()
+        job = Job(out=folder, bins=args.bins, workers=args.workers, pictures=args.html, video=args.video)
+        job = replace(job, video_limit=args.video_limit)
+        if args.video is not None:
+            check_video(args.video)
+        config.check()
+        records = _run(config, job)
+    except KeyboardInterrupt:
+        print(f"\nstopped; finished bins are kept in {folder}: the same command goes on from there", file=sys.stderr)
+        return 130
+    except (ValueError, OSError, ModuleNotFoundError, NotImplementedError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    summary = summarise(records, config, np.random.default_rng(args.seed))
+    results = args.json or folder / "results.json"
+    write_atomically(results, json_text(asdict(summary)))
+    if args.html:
+        write_report(folder / "report.html", summary, records, folder)
+    print(result_table(summary))  # last: a closed pipe must not cost the files
+    print(f"numbers   {results}")
+    if args.html:
+        print(f"report    {folder / 'report.html'}")
+    return 0
+
+
+def _run(config: EvaluationConfig, job: Job) -> list[BinRecord]:
+    tally = {"attempts": 0, "delivered": 0}
+    with tqdm(total=job.bins, desc=config.part, unit="bin", smoothing=0) as bar:
+
+        def on_pick(result: PickResult) -> None:
+            tally["attempts"] += result.outcome is not None
+            tally["delivered"] += result.delivered
+            bar.set_postfix({"last": str(result.outcome or result.abstention), **tally})
+
+        def on_bin(record: BinRecord) -> None:
+            bar.set_postfix(last=f"{record.delivered}/{record.parts_total} parts")
+            bar.update()
+
+        return run_job(config, job, on_bin, on_pick)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
+    sys.exit(main(tyro.cli(Arguments)))

@@ -1,0 +1,55 @@
+"""What an installed wheel must be able to do, on its own.
+
+Run from any directory, without pytest: ``PYTHONPATH=WHERE_THE_WHEEL_IS python -P smoke_test.py WHERE_THE_WHEEL_IS``.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+PACKAGES = ("binpick_env", "perception", "policies")
+IMPORT_TIME = """
+import sys, time
+start = time.perf_counter()
+import binpick_env
+taken = time.perf_counter() - start
+assert "torch" not in sys.modules, "importing binpick_env loads torch"
+print(f"import binpick_env: {taken:.3f} s")
+"""
+
+
+def check_packages(where: Path) -> None:
+    for name in PACKAGES:
+        module = __import__(name)
+        origin = Path(str(module.__file__)).resolve()
+        assert origin.is_relative_to(where), f"{name} comes from {origin}, not from {where}"
+        assert (origin.parent / "py.typed").is_file(), f"{name} ships no py.typed"
+
+
+def check_environment() -> None:
+    import gymnasium as gym
+    import numpy as np
+
+    import binpick_env  # noqa: F401
+
+    env = gym.make("BinPick-v0", num_parts=2, sensor="none")
+    observation, info = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert info["total"] == 2
+    rest = np.append(observation["joint_pos"], 0.0).astype(np.float32)
+    observation, reward, terminated, truncated, info = env.step(rest)
+    assert env.observation_space.contains(observation)
+    assert (reward, terminated, truncated) == (0.0, False, False)
+    env.close()
+
+
+def main() -> None:
+    where = Path(sys.argv[1]).resolve()
+    subprocess.run([sys.executable, "-P", "-c", IMPORT_TIME], check=True)
+    check_packages(where)
+    check_environment()
+    print("smoke test passed")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("perception", "binpick_env", "policies")
+SOURCES = sorted(path for name in (*PACKAGES, "scripts") for path in (ROOT / name).rglob("*.py"))
+SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def test_imports_point_one_way() -> None:
+    command = [sys.executable, "-c", "from importlinter.cli import lint_imports_command as c; c()", "--no-cache"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("heavy", ["torch", "stable_baselines3", "matplotlib", "tyro"])
+def test_importing_the_environment_leaves_heavy_packages_alone(heavy: str) -> None:
+    code = f"import sys, binpick_env.env; sys.exit({heavy!r} in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_files_are_small_and_well_named(path: Path) -> None:
+    lines = path.read_text().count("\n")
+    assert lines < (120 if path.parent.name == "scripts" else 400), f"{lines} lines: this file holds two ideas"
+    assert path.stem not in ("utils", "helpers", "misc")
+
+
+@pytest.mark.parametrize("path", [p for p in SOURCES if p.parent.name != "scripts"], ids=name_of)
+def test_libraries_parse_no_command_line(path: Path) -> None:
+    text = path.read_text()
+    assert not re.search(r"^\s*(import|from) (tyro|argparse)\b", text, flags=re.MULTILINE)
+    assert "__main__" not in text
+
+
+def test_every_package_is_typed() -> None:
+    assert all((ROOT / name / "py.typed").is_file() for name in PACKAGES)
+
+
+def test_the_readmes_snippets_run() -> None:
+    assert len(SNIPPETS) >= 2
+    names: dict[str, object] = {}
+    for snippet in SNIPPETS:  # one after the other: the second goes on with the first one's env
+        exec(compile(snippet, "README.md", "exec"), names)
+    env = names["env"]
+    assert isinstance(env, gym.Env)
+    env.close()
+
+
+def test_the_readmes_files_exist() -> None:
+    text = (ROOT / "README.md").read_text()
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)\)", text) + re.findall(r"scripts/\w+\.py", text)
+    assert targets
+    assert [target for target in targets if not (ROOT / target).exists()] == []
+
+
+def test_the_makefiles_help_names_every_target() -> None:
+    text = (ROOT / "Makefile").read_text()
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", text, flags=re.MULTILINE)
+    documented = set(re.findall(r"^([a-z-]+):.*## ", text, flags=re.MULTILINE))
+    assert set(phony.split()) == documented
+
+
+def test_constraints_pin_every_dependency_exactly() -> None:
+    lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")]
+    assert all(re.fullmatch(r"[\w.-]+==[\w.]+", line) for line in lines)  # no local versions such as +cpu
+    pinned = {re.sub(r"[-_.]+", "-", line.split("==")[0]).lower() for line in lines}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = [
+        *project["dependencies"],
+        *(name for extra in project["optional-dependencies"].values() for name in extra),
+    ]
+    assert {re.split(r"[><=!]", name)[0].lower().replace("_", "-") for name in wanted} <= pinned

@@ -1,0 +1,206 @@
+import dataclasses
+import json
+import logging
+from pathlib import Path
+
+import pytest
+from fake_cell import FakeEnv, ScriptPicker, abstain, attempt, broken_cell, dice_cell
+
+from binpick_env.config import CameraConfig
+from policies.evaluation import BinError, Cell, EvaluationConfig, bin_seed, evaluate_bin
+from policies.jobs import FolderError, Job, run_job
+from policies.outcomes import Abstention, GraspOutcome, PickResult
+from policies.records import BinRecord, RecordError, load_record, record_path, save_record
+
+CONFIG = EvaluationConfig(num_parts=(6, 6))
+
+
+def outcome_of(record: BinRecord) -> tuple[object, ...]:
+    """All of a record but wall clock."""
+    return record.index, record.seed, record.picks, record.delivered, record.termination, record.clutter
+
+
+def counted(made: list[int]):
+    def make(config: EvaluationConfig) -> Cell:
+        made.append(1)
+        return dice_cell(config)
+
+    return make
+
+
+# --- seeds ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_bins_seed_follows_from_seed_and_index_alone() -> None:
+    assert bin_seed(0, 0) == 2968811710  # golden: a change of the rule would change every published number
+    assert len({bin_seed(seed, index) for seed in range(20) for index in range(50)}) == 1000
+
+
+def test_every_record_is_that_of_its_own_seed(tmp_path: Path) -> None:
+    records = run_job(CONFIG, Job(out=tmp_path, bins=3, pictures=False), make_cell=dice_cell)
+    assert [record.seed for record in records] == [bin_seed(0, index) for index in range(3)]
+
+
+def test_the_records_do_not_depend_on_the_workers(tmp_path: Path) -> None:
+    alone = run_job(CONFIG, Job(out=tmp_path / "1", bins=4, pictures=False), make_cell=dice_cell)
+    many = run_job(CONFIG, Job(out=tmp_path / "2", bins=4, workers=2, pictures=False), make_cell=dice_cell)
+    assert [outcome_of(r) for r in alone] == [outcome_of(r) for r in many]
+
+
+# --- one bin -------------------------------------------------------------------------------------------------------
+
+
+def test_a_record_keeps_the_facts_of_each_decision() -> None:
+    def make(config: EvaluationConfig) -> Cell:
+        env = FakeEnv(parts=2, render_time=0.25)
+        delivered = attempt(GraspOutcome.DELIVERED)
+        script = attempt(GraspOutcome.MISSED), abstain(Abstention.IK_INFEASIBLE), delivered, delivered
+        return Cell(env, ScriptPicker(env, *script))  # type: ignore[arg-type]
+
+    record = evaluate_bin(CONFIG, 3, make_cell=make)
+    assert [pick.outcome for pick in record.picks] == ["missed", None, "delivered", "delivered"]
+    assert record.picks[1].abstention == "ik_infeasible"
+    assert (record.picks[0].width, record.picks[0].opening, record.picks[0].score) == (0.03, 0.05, 0.7)
+    assert record.picks[0].features == {"quality": 0.5}
+    assert record.picks[1].width is None
+    assert (record.delivered, record.parts_total, len(record.attempts)) == (2, 2, 3)
+    assert record.render == pytest.approx(0.25 * 5)  # the first frame, three attempts, one look
+    assert record.config_hash == CONFIG.digest()
+
+
+def test_a_record_survives_its_file(tmp_path: Path) -> None:
+    record = evaluate_bin(CONFIG, 0, make_cell=dice_cell)
+    assert load_record(save_record(record, tmp_path)) == record
+    assert [path.name for path in tmp_path.iterdir()] == ["bin_0000.json"]  # no draft is left
+
+
+def test_the_cell_is_closed_and_decisions_are_reported() -> None:
+    env = FakeEnv(parts=1)
+    seen: list[PickResult] = []
+    made = Cell(env, ScriptPicker(env, attempt(GraspOutcome.DELIVERED)))  # type: ignore[arg-type]
+    evaluate_bin(CONFIG, 0, on_pick=seen.append, make_cell=lambda _: made)
+    assert env.closed
+    assert len(seen) == 1
+
+
+def test_a_crash_names_the_bin_and_its_seed() -> None:
+    with pytest.raises(BinError, match=rf"bin 2 \(seed {bin_seed(0, 2)}\) failed: FloatingPointError: the physics"):
+        evaluate_bin(CONFIG, 2, make_cell=broken_cell)
+
+
+def test_a_crash_in_a_worker_names_the_bin_and_its_seed(tmp_path: Path) -> None:
+    with pytest.raises(BinError, match=r"bin \d \(seed \d+\) failed: FloatingPointError"):
+        run_job(CONFIG, Job(out=tmp_path, bins=2, workers=2, pictures=False), make_cell=broken_cell)
+
+
+# --- resuming ------------------------------------------------------------------------------------------------------
+
+
+def test_finished_bins_are_not_computed_again(tmp_path: Path) -> None:
+    first = run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
+    made: list[int] = []
+    second = run_job(CONFIG, Job(out=tmp_path, bins=3, pictures=False), make_cell=counted(made))
+    assert second[:2] == first
+    assert len(made) == 1
+
+
+@pytest.mark.parametrize("damage", ["", "{", '{"version": 1}', '{"version": 0}', "[]", "cut"])
+def test_a_damaged_record_is_computed_again(tmp_path: Path, damage: str, caplog: pytest.LogCaptureFixture) -> None:
+    first = run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
+    path = record_path(tmp_path, 1)
+    path.write_text(path.read_text()[:-40] if damage == "cut" else damage)
+    with caplog.at_level(logging.WARNING):
+        second = run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
+    assert [outcome_of(r) for r in first] == [outcome_of(r) for r in second]
+    assert load_record(path) == second[1]
+    assert "bin 1 is computed again" in caplog.text
+
+
+def test_a_record_with_an_unknown_word_is_refused(tmp_path: Path) -> None:
+    path = save_record(evaluate_bin(CONFIG, 0, make_cell=dice_cell), tmp_path)
+    values = json.loads(path.read_text())
+    values["picks"][0]["outcome"] = "vanished"
+    path.write_text(json.dumps(values))
+    with pytest.raises(RecordError, match=r"holds no whole record.*vanished"):
+        load_record(path)
+
+
+def test_a_record_of_another_bin_is_not_taken(tmp_path: Path) -> None:
+    run_job(CONFIG, Job(out=tmp_path, bins=1, pictures=False), make_cell=dice_cell)
+    record_path(tmp_path, 1).write_text(record_path(tmp_path, 0).read_text())
+    records = run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
+    assert records[1].index == 1
+
+
+def test_another_configuration_in_the_folder_is_refused(tmp_path: Path) -> None:
+    run_job(CONFIG, Job(out=tmp_path, bins=1, pictures=False), make_cell=dice_cell)
+    other = dataclasses.replace(CONFIG, seed=1, sensor="none")
+    with pytest.raises(FolderError, match=r"seed: 0 there, 1 here, sensor: good there, none here.*--out"):
+        run_job(other, Job(out=tmp_path, bins=1, pictures=False), make_cell=dice_cell)
+
+
+def test_a_damaged_note_of_the_configuration_is_written_anew(tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text("{")
+    run_job(CONFIG, Job(out=tmp_path, bins=1, pictures=False), make_cell=dice_cell)
+    assert json.loads((tmp_path / "config.json").read_text())["hash"] == CONFIG.digest()
+
+
+def test_an_interrupt_loses_no_finished_bin(tmp_path: Path) -> None:
+    made: list[int] = []
+
+    def interrupted(config: EvaluationConfig) -> Cell:
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(1)
+        return dice_cell(config)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_job(CONFIG, Job(out=tmp_path, bins=5, pictures=False), make_cell=interrupted)
+    assert sorted(path.name for path in tmp_path.glob("bin_*.json")) == ["bin_0000.json", "bin_0001.json"]
+
+
+def test_an_interrupt_stops_the_workers(tmp_path: Path) -> None:
+    def interrupt(record: BinRecord) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_job(CONFIG, Job(out=tmp_path, bins=3, workers=2, pictures=False), on_bin=interrupt, make_cell=dice_cell)
+    assert list(tmp_path.glob("bin_*.json"))
+
+
+# --- configuration -------------------------------------------------------------------------------------------------
+
+
+def test_the_digest_sees_every_setting() -> None:
+    changes = {
+        "part": "part_a",
+        "seed": 1,
+        "sensor": "none",
+        "num_parts": (6, 7),
+        "camera": CameraConfig(width=640, height=480),
+    }
+    digests = {dataclasses.replace(CONFIG, **{name: value}).digest() for name, value in changes.items()}
+    assert len({*digests, CONFIG.digest()}) == len(changes) + 1
+    assert EvaluationConfig(num_parts=(6, 6)).digest() == CONFIG.digest()
+
+
+def test_the_digest_sees_the_part_files_contents(tmp_path: Path) -> None:
+    path = tmp_path / "part.stl"
+    config = EvaluationConfig(part=str(path))
+    path.write_bytes(b"one")
+    one = config.digest()
+    path.write_bytes(b"two")
+    assert config.digest() != one
+
+
+def test_nonsense_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="seed must not be negative, got -1"):
+        EvaluationConfig(seed=-1)
+    with pytest.raises(ValueError, match=r"num_parts must be a rising pair from 1, got \(5, 4\)"):
+        EvaluationConfig(num_parts=(5, 4))
+    with pytest.raises(ValueError, match="bins and workers must be at least 1, got 0 and 1"):
+        Job(out=tmp_path, bins=0)
+    with pytest.raises(ValueError, match=r"part must be one of .*tee.*, got 'teapot'"):
+        EvaluationConfig(part="teapot").check()
+    with pytest.raises(NotImplementedError, match="perception='learned' needs"):
+        EvaluationConfig(perception="learned").check()

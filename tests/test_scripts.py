@@ -1,0 +1,124 @@
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import cv2
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
+TINY = ["--min-parts", "2", "--max-parts", "2", "--width", "640", "--height", "480", "--sensor", "none"]
+
+
+def run(script: str, *arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    command = [sys.executable, str(ROOT / "scripts" / script), *arguments]
+    return subprocess.run(command, cwd=cwd, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
+
+
+def load(script: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"script_{Path(script).stem}", ROOT / "scripts" / script)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module.__name__] = module  # dataclasses look their own module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_help_is_short_and_to_the_point(script: Path) -> None:
+    done = run(script.name, "--help")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("usage:")
+
+
+def test_help_names_every_argument_of_the_contract() -> None:
+    text = run("pick.py", "--help").stdout
+    for name in ("part", "bins", "seed", "perception", "sensor", "workers", "out", "json", "video", "html"):
+        assert f"--{name}" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--part", "teapot"], "part must be one of part_a, part_b, part_c, tee, bracket"),
+        (["--part", "nowhere.stl"], "nowhere.stl"),
+        (["--bins", "0"], "bins and workers must be at least 1, got 0 and 1"),
+        (["--perception", "learned"], "perception='learned' needs"),
+        (["--video", "film.avi"], "must end in .mp4"),
+        (["--min-parts", "5", "--max-parts", "4"], "num_parts must be a rising pair"),
+    ],
+)
+def test_a_users_mistake_is_one_line_and_exit_code_2(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pick = load("pick.py")
+    code = pick.main(pick.tyro.cli(pick.Arguments, args=[*arguments, "--out", str(tmp_path)]))
+    error = capsys.readouterr().err
+    assert code == 2
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1
+    assert message in error
+
+
+def test_ctrl_c_says_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pick = load("pick.py")
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pick, "run_job", interrupted)
+    assert pick.main(pick.Arguments(out=tmp_path)) == 130
+    assert f"finished bins are kept in {tmp_path}: the same command goes on from there" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_pick_runs_resumes_and_refuses_another_configuration(tmp_path: Path) -> None:
+    out, film = tmp_path / "run", tmp_path / "film.mp4"
+    common = [*TINY, "--out", str(out)]
+    done = run("pick.py", "--bins", "1", "--video", str(film), "--video-limit", "1", *common, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "GSR" in done.stdout
+    assert film.stat().st_size > 1000
+    assert "<img" in (out / "report.html").read_text()
+    made = (out / "bin_0000.json").stat().st_mtime_ns
+    done = run("pick.py", "--bins", "2", "--workers", "2", "--json", str(tmp_path / "n.json"), *common, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    numbers = json.loads((tmp_path / "n.json").read_text())
+    assert numbers["bins"] == 2
+    assert numbers["parts_total"] == 4
+    assert (out / "bin_0000.json").stat().st_mtime_ns == made
+    done = run("pick.py", "--bins", "2", "--seed", "1", *common, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--out" in done.stderr
+
+
+@pytest.mark.slow
+def test_picture_makes_a_picture(tmp_path: Path) -> None:
+    done = run("picture.py", "--width", "150", "--height", "100", "--out", str(tmp_path / "new" / "cell.png"))
+    assert done.returncode == 0, done.stderr
+    picture = cv2.imread(str(tmp_path / "new" / "cell.png"))
+    assert picture is not None
+    assert picture.shape == (100, 150, 3)
+    assert picture.std() > 20
+    assert run("picture.py", "--part", "teapot").returncode == 2
+
+
+@pytest.mark.slow
+def test_bench_measures_and_compares(tmp_path: Path) -> None:
+    file = str(tmp_path / "cell.json")
+    done = run("bench.py", "cell", "--repeats", "1", "--picks", "1", "--count", "3", "--save", file)
+    assert done.returncode == 0, done.stderr
+    rows = {row["name"] for row in json.loads(Path(file).read_text())["rows"]}
+    assert {"drop and settle", "attempts", "steps of 0.04 s, picking"} <= rows
+    done = run("bench.py", "cell", "--compare", file, file)
+    assert done.returncode == 0, done.stderr
+    assert "within noise" in done.stdout
+    assert run("bench.py", "cell", "--compare", str(ROOT / "pyproject.toml"), file).returncode == 2
