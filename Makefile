@@ -24,6 +24,7 @@ $(VENV)/.run-stamp: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.dev-stamp: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing binpick with everything for development into $(VENV) ..."
+	$(PIP) torch==2.13.0
 	$(PIP) -e '.[learn,report,dev]' hatchling
 	@touch $@ $(VENV)/.run-stamp
 

@@ -7,6 +7,7 @@ from typing import Any, Literal, cast
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from binpick_env.camera import Capture, DepthCamera
@@ -28,7 +29,7 @@ MAX_EPISODE_STEPS = 12_000
 HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home that counts as back, and as having left [rad]
 
 
-class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
+class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     """A UR5e with a parallel jaw picks identical parts out of a bin into a tray, 25 actions a second.
 
     ## Action space
@@ -103,6 +104,20 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
         threads: int | None = None,
         render_mode: str | None = None,
     ) -> None:
+        # A pickled copy is made anew from these; it is the same cell from its first reset(seed) on.
+        EzPickle.__init__(
+            self,
+            part=part,
+            num_parts=num_parts,
+            perception=perception,
+            sensor=sensor,
+            camera=camera,
+            pose_noise=pose_noise,
+            obs_mode=obs_mode,
+            config=config,
+            threads=threads,
+            render_mode=render_mode,
+        )
         low, high = (num_parts, num_parts) if isinstance(num_parts, int) else num_parts
         if not 1 <= low <= high:
             raise ValueError(f"num_parts must be a positive number or a rising pair, got {num_parts}")
@@ -221,7 +236,6 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
         started = time.perf_counter()
         self.capture = self.camera.capture(simulation.data, self.np_random, self._sensor)
         poses = simulation.part_poses()
-        rendered = time.perf_counter()
         fractions = visible_fractions(self.capture, self.part.model.mesh, poses) * simulation.in_play
         self.view = View(
             capture=self.capture,
@@ -230,6 +244,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]]):
             T_world_parts=poses,
             visible_fractions=fractions,
         )
+        rendered = time.perf_counter()
         self.candidates: list[PoseCandidate] = self._perceiver.perceive(self.view, self.np_random)[:MAX_CANDIDATES]
         self.render_time = rendered - started
         self.perception_time = time.perf_counter() - rendered

@@ -87,8 +87,10 @@ class DeliveryJudge:
         for i in np.flatnonzero(in_tray):
             if i not in self._entered and not is_open and not held[i]:
                 self._unreleased.add(int(i))
-            if is_open:
-                self._entered.add(int(i))
+        if is_open:
+            # Up to twice the rim: a part that comes to lie on top of another has entered in its company.
+            over_tray = self._tray.contains(simulation.part_centres(), headroom=float(self._tray.inner_size[2]))
+            self._entered.update(int(i) for i in np.flatnonzero(simulation.in_play & over_tray))
         return [*self._judge_tray(in_tray), *self._judge_lost(in_tray)]
 
     def _judge_tray(self, in_tray: NDArray[np.bool_]) -> list[DeliveryEvent]:

@@ -1,11 +1,10 @@
 """Drop a pile of parts into the bin and let it come to rest."""
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.simulation import Simulation
-from perception.geometry import make_transform, random_rotation, transform_points
+from perception.geometry import make_transform, random_rotation
 
 BATCH_PERIOD = 0.12  # between two releases [s]
 SETTLE_LIMIT = 6.0  # after the last release [s]
@@ -56,7 +55,6 @@ def _release(simulation: Simulation, parts: list[int], rng: np.random.Generator)
     reach = simulation.part.model.d_max / 2
     room = np.maximum(workspace.inner_size[:2] / 2 - 2 * reach, 0.0)
     spread = np.minimum(reach, workspace.inner_size[:2] / 2 - reach)
-    steps = round(BATCH_PERIOD / simulation.model.opt.timestep)
     for start in range(0, len(parts), 4):
         quadrants = rng.permutation(4)
         middle = rng.triangular(-1.0, 0.0, 1.0, size=2) * 0.4 * room  # poured more towards the middle, as from a chute
@@ -66,7 +64,7 @@ def _release(simulation: Simulation, parts: list[int], rng: np.random.Generator)
             centre = np.array([*(middle + signs * spread), top + reach + 0.01])
             T_world_part = workspace.T_world_bin @ make_transform(random_rotation(rng), centre)
             simulation.place(i, T_world_part)
-        mujoco.mj_step(simulation.model, simulation.data, steps)
+        simulation.advance(BATCH_PERIOD)
 
 
 def _top(simulation: Simulation) -> float:
@@ -80,17 +78,10 @@ def _top(simulation: Simulation) -> float:
 
 def _settle(simulation: Simulation) -> bool:
     """Step until every part in play sleeps; False if that takes longer than ``SETTLE_LIMIT`` or a NaN appears."""
-    steps = round(0.05 / simulation.model.opt.timestep)
     for _ in range(round(SETTLE_LIMIT / 0.05)):
-        mujoco.mj_step(simulation.model, simulation.data, steps)
+        simulation.advance(0.05)
         if not np.all(np.isfinite(simulation.data.qpos)):
             return False
         if simulation.asleep()[simulation.in_play].all():
             return True
     return False
-
-
-def surface_top(simulation: Simulation, i: int) -> float:
-    """Return the height of part ``i``'s highest vertex above the bin's floor [m]."""
-    points_world = transform_points(simulation.part_poses()[i], np.asarray(simulation.part.model.mesh.vertices))
-    return float(simulation.config.bin.workspace().to_bin(points_world)[:, 2].max())

@@ -27,7 +27,7 @@ class RankSettings:
     """
 
     max_tilt: float = float(np.radians(50))  # of the approach from the vertical
-    margin: float = 0.0015  # every point of the gripper stays this much above everything else that was seen
+    margin: float = 0.001  # every point of the gripper stays this much above everything else that was seen
     max_opening: float = 0.084
     cell: float = 0.002  # of the height map
     wall: float = 0.02  # thickness of the bin's walls

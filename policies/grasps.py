@@ -15,7 +15,7 @@ from policies.gripper import PAD_SIZE, GripperModel, gripper_model
 from policies.outcomes import Grasp
 
 _log = logging.getLogger(__name__)
-_VERSION = 3  # raised whenever the code below would give another set
+_VERSION = 5  # raised whenever the code below would give another set
 _SURFACE_DENSITY = 1.5e6  # points per square metre: five in a cell of 2 mm
 _SYMMETRY_STEPS = 24  # turns about a continuous axis
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -27,7 +27,7 @@ class GraspSettings:
 
     samples: int = 1500  # surface points that lines are shot from
     turns: int = 16  # approach directions about each line
-    depths: tuple[float, ...] = (0.002, 0.006, 0.012, 0.018)  # fingertips beyond the line of contact
+    depths: tuple[float, ...] = (0.0, 0.003, 0.007, 0.012, 0.018)  # fingertips beyond the line of contact
     friction: float = 0.4  # of the cone; the pads' own is 0.6 to 0.7
     min_width: float = 0.003
     max_width: float = 0.078
@@ -36,7 +36,7 @@ class GraspSettings:
     part_margin: float = 0.001  # that the open gripper keeps from the part
     side_margin: float = 0.002  # beside a closed pad; a pad wedged between two collars does not let go of the part
     min_area: float = 0.04  # share of a pad's face that must touch
-    max_grasps: int = 3000
+    max_grasps: int = 4000
     max_checked: int = 20000  # poses whose pads are closed, drawn evenly from those that do not cut the part
 
     def __post_init__(self) -> None:
@@ -241,7 +241,8 @@ def _spread(found: GraspSet, limit: int) -> NDArray[np.int64]:
     """Choose at most ``limit`` indices, best first, spread evenly over approach, jaw direction and place.
 
     The best of every cell (about 15 degrees of approach, 30 of the jaw, 10 mm) is kept; where that is too many, each
-    approach gives its best, then its second best, and so on.
+    approach gives the best of each of its places and widths, then the second best of each, and so on: a part that is
+    held well by its rim must not lose the grasps on its hub, which may be the only ones that a neighbour leaves free.
     """
     order = np.argsort(-found.quality, kind="stable")
     T = found.T_part_grasp[order]
@@ -250,13 +251,20 @@ def _spread(found: GraspSet, limit: int) -> NDArray[np.int64]:
     place = np.floor(T[:, :3, 3] / 0.010).astype(np.int64)
     _, first = np.unique(np.column_stack([approach, jaw, place]), axis=0, return_index=True)
     first = np.sort(first)
-    bins = approach[first]
-    by_bin = np.argsort(bins, kind="stable")
-    starts = np.searchsorted(bins[by_bin], bins[by_bin])
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[by_bin] = np.arange(len(first)) - starts
-    kept = first[np.argsort(rank, kind="stable")[:limit]]
+    region = np.floor(T[:, :3, 3] / 0.025).astype(np.int64)
+    width = np.floor(found.width[order] / 0.010).astype(np.int64)
+    _, site = np.unique(np.column_stack([approach, region, width])[first], axis=0, return_inverse=True)
+    kept = first[np.lexsort((_ranks(approach[first]), _ranks(site)))[:limit]]
     return order[np.sort(kept)]
+
+
+def _ranks(groups: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return (N,) how many earlier entries are of the same group."""
+    by_group = np.argsort(groups, kind="stable")
+    starts = np.searchsorted(groups[by_group], groups[by_group])
+    ranks = np.empty(len(groups), dtype=np.int64)
+    ranks[by_group] = np.arange(len(groups)) - starts
+    return ranks
 
 
 def _fibonacci_sphere(count: int) -> Floats:

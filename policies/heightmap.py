@@ -101,6 +101,8 @@ class HeightMap:
             The map of everything else. Holes are closed anew, so that the target's height does not leak into them.
         """
         require_shape("target", target, self.measured.shape)
+        if not np.any(np.isfinite(self.measured[self.inner])):
+            return self  # nothing is known: not even beside the target may be entered
         known = np.isfinite(target)
         # One cell around, because the edge's last pixels fall beside the mesh; on a flank the height varies in a cell.
         upper = cv2.dilate(target, _BOX)

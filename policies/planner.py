@@ -28,7 +28,7 @@ class PlannerSettings:
     """How motions are planned."""
 
     clearance: float = 0.01  # of the robot from the cell while it traverses [m]
-    line_clearance: float = 0.0  # on straight lines, which end in narrow places [m]
+    line_clearance: float = 0.0015  # on straight lines, which end in narrow places [m]
     escape_depth: float = 0.004  # that the robot may be in the cell when it sets out, where contacts are soft [m]
     pile_clearance: float = 0.015  # of the tool's points from pile, rim and tray while it traverses [m]
     via_heights: tuple[float, ...] = (0.06, 0.12, 0.20)  # above start and goal, tried in turn [m]

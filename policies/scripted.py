@@ -47,6 +47,14 @@ class _Plan:
     approach: Trajectory
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Failure:
+    """What was tried in vain: the part's centre (3,) [m] and the grasp (4, 4), world frame."""
+
+    centre_world: Floats
+    T_world_grasp: Floats
+
+
 class ScriptedPicker:
     """Picks the best-ranked grasp that the arm can reach. Works on the candidates and the frame of the environment.
 
@@ -65,16 +73,20 @@ class ScriptedPicker:
         self._planner = MotionPlanner(scene, self._ik)
         self._outline = _outline(np.asarray(env.part.model.mesh.vertices))
         self.rank_stats = RankStats()
+        self._compiled = False
         self.reset()
 
     def reset(self) -> None:
         """Forget the last bin."""
-        self._failed_at: list[Floats] = []
+        self._failed: list[_Failure] = []
 
     def pick(self) -> PickResult:
         """Make one decision on the last frame: an executed attempt, or an abstention."""
-        started = time.perf_counter()
         env, frame_id = self._env, self._env.frame_id
+        if not self._compiled:  # the kernels' compilation is no part of a decision's time
+            self._plan()
+            self._compiled = True
+        started = time.perf_counter()
         plan = self._plan()
         compute = time.perf_counter() - started + env.perception_time
         if isinstance(plan, Abstention):
@@ -85,10 +97,8 @@ class ScriptedPicker:
         planning = self._execute(plan, execution, candidate.T_world_part)
         kinds = [event.kind for event in env.events[events_before:]]
         outcome = execution.outcome(kinds)
-        if outcome is GraspOutcome.DELIVERED:
-            self._failed_at.clear()
-        else:
-            self._failed_at.append(candidate.centre_world)
+        if outcome is not GraspOutcome.DELIVERED:
+            self._failed.append(_Failure(centre_world=candidate.centre_world, T_world_grasp=plan.grasp.T_world_grasp))
         return PickResult(
             outcome=outcome,
             grasp=plan.grasp,
@@ -112,8 +122,9 @@ class ScriptedPicker:
         if not ranked:
             return Abstention.NO_CLEAR_APPROACH
         height = self._pile_height()
-        blocked = False
-        for grasp in self._fresh_first(ranked)[: settings.grasps_tried]:
+        fresh = self._fresh_first(ranked)
+        blocked = not fresh
+        for grasp in fresh[: settings.grasps_tried]:
             reached = self._ik.solve_grasp(grasp.T_world_tcp, env.simulation.target, opening=grasp.opening)
             if not reached.ok:
                 continue
@@ -132,14 +143,13 @@ class ScriptedPicker:
         return Abstention.NO_CLEAR_APPROACH if blocked else Abstention.IK_INFEASIBLE
 
     def _fresh_first(self, ranked: list[GraspCandidate]) -> list[GraspCandidate]:
-        """Put grasps on parts that lie where an attempt has just failed behind all others."""
+        """Leave out grasps that failed before, and put others on the parts that they failed on behind all else."""
         reach = self._env.part.model.d_max / 4
-
-        def failed(grasp: GraspCandidate) -> bool:
-            centre = self._env.candidates[grasp.candidate].centre_world
-            return any(float(np.linalg.norm(centre - at)) < reach for at in self._failed_at)
-
-        return sorted(ranked, key=failed)
+        centres = [self._env.candidates[grasp.candidate].centre_world for grasp in ranked]
+        suspect = [any(np.linalg.norm(centre - f.centre_world) < reach for f in self._failed) for centre in centres]
+        order = np.argsort(suspect, kind="stable")
+        again = [any(_alike(grasp.T_world_grasp, f.T_world_grasp) for f in self._failed) for grasp in ranked]
+        return [ranked[k] for k in order if not again[k]]
 
     def _pile_height(self) -> Callable[[Floats], Floats]:
         """Return the seen surface's world height [m] under (P, 3) world points."""
@@ -204,6 +214,13 @@ class ScriptedPicker:
         else:
             execution.follow(plan.trajectory, 0.0)
         return planning
+
+
+def _alike(T_a: Floats, T_b: Floats) -> bool:
+    """Whether two grasps are one: tips within 8 mm, approach and jaw within 15 degrees, the jaw without a sign."""
+    near = float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])) < 0.008
+    cosine = np.cos(np.radians(15))
+    return near and T_a[:3, 2] @ T_b[:3, 2] > cosine and abs(T_a[:3, 1] @ T_b[:3, 1]) > cosine
 
 
 def _outline(vertices: Floats, count: int = 64) -> Floats:

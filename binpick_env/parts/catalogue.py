@@ -60,9 +60,9 @@ def design(name: str) -> Design:
 
 def part_a(facets: int) -> tuple[Solids, Solids]:
     """Stepped wheel: a disc and a hub on one shaft bore; z along the shaft, towards the hub."""
-    disc = cylinder(0.080, 0.0, 0.013, facets=facets)
-    hub = cylinder(0.040, 0.006, 0.047, facets=facets)
-    return (disc, hub), (cylinder(0.012, -0.01, 0.06, facets=facets),)
+    disc = cylinder(0.072, 0.0, 0.016, facets=facets)
+    hub = cylinder(0.038, 0.006, 0.056, facets=facets)
+    return (disc, hub), (cylinder(0.012, -0.01, 0.07, facets=facets),)
 
 
 def part_b(facets: int) -> tuple[Solids, Solids]:
