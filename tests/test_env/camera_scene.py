@@ -11,7 +11,7 @@ from perception.frame import Workspace
 from perception.geometry import Floats, make_transform, quat_from_matrix, random_rotation
 
 BOX, MESH, SPHERE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SPHERE
-CAMERA = CameraConfig(width=480, height=360)
+CAMERA = CameraConfig(width=480, height=360, backend="rays")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

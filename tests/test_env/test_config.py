@@ -1,0 +1,58 @@
+"""Settings: what they mean, and what they refuse."""
+
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError, fields
+
+import numpy as np
+import pytest
+
+from binpick_env.config import BinConfig, CameraConfig, CellConfig, ContactConfig, RobotConfig, TrayConfig
+from perception.geometry import transform_points
+
+
+def test_the_workspace_is_the_bins_pose_and_inner_box() -> None:
+    workspace = BinConfig(inner_size=(0.4, 0.2, 0.1), wall=0.03, position=(0.6, 0.1), yaw=np.pi / 2).workspace()
+    np.testing.assert_array_equal(workspace.inner_size, (0.4, 0.2, 0.1))
+    corner_world = transform_points(workspace.T_world_bin, np.array([[0.2, 0.1, 0.0]]))[0]
+    np.testing.assert_allclose(corner_world, (0.6 - 0.1, 0.1 + 0.2, 0.03), atol=1e-12)
+    np.testing.assert_allclose(workspace.T_world_bin[:3, 2], (0, 0, 1), atol=1e-12)
+
+
+def test_the_standard_bin() -> None:
+    """DESIGN: 0.36 x 0.26 x 0.12 m inside, walls thick enough that nothing tunnels."""
+    assert BinConfig().inner_size == (0.36, 0.26, 0.12)
+    assert BinConfig().wall >= 0.02
+
+
+def test_focal_length_scales_with_the_image() -> None:
+    assert CameraConfig().focal_px == 2400.0
+    assert CameraConfig(width=640, height=480).focal_px == 1200.0
+
+
+@pytest.mark.parametrize("kind", [BinConfig, CameraConfig, CellConfig, ContactConfig, RobotConfig, TrayConfig])
+def test_settings_are_frozen_and_given_by_name(kind: type) -> None:
+    config = kind()
+    name = fields(config)[0].name
+    with pytest.raises(FrozenInstanceError):
+        setattr(config, name, None)
+    with pytest.raises(TypeError, match="positional"):
+        kind(getattr(config, name))
+    assert config == kind()
+    assert hash(config) == hash(kind())
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: BinConfig(inner_size=(0.3, 0.0, 0.1)), r"inner_size must be positive, got \(0\.3, 0\.0, 0\.1\)"),
+        (lambda: BinConfig(wall=0.001), r"wall must be at least 0\.005 m, got 0\.001"),
+        (lambda: CameraConfig(width=8), "the image must be at least 16 x 16, got 8 x 960"),
+        (lambda: CameraConfig(height=15), "the image must be at least 16 x 16, got 1280 x 15"),
+        (lambda: CameraConfig(focal=0.0), r"focal must be positive, got 0\.0"),
+        (lambda: CameraConfig(distance=0.2), r"distance must exceed 0\.2 m, got 0\.2"),
+        (lambda: CameraConfig(backend="gl"), "backend must be one of rays, egl, raster, got 'gl'"),  # type: ignore[arg-type]
+    ],
+)
+def test_nonsense_is_refused(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
