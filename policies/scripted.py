@@ -32,7 +32,7 @@ class PickerSettings:
     execution: ExecutionSettings = field(default_factory=ExecutionSettings)
     grasps_tried: int = 40  # for IK and a free path, best first, before the picker abstains
     standoff: float = 0.06  # length of the straight approach
-    approach_speed: float = 0.5  # share of the joints' velocity limit on straight lines
+    approach_speed: float = 0.25  # share of the joints' velocity limit on straight lines
     carry_scale: float = 0.7  # share of velocity and acceleration limits with a part in the jaw
     release_height: float = 0.03  # of the carried part's lowest point above the tray's floor
     empty_gap: float = 0.0015  # between the pads; a jaw closed further holds nothing

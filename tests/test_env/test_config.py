@@ -19,7 +19,7 @@ def test_the_workspace_is_the_bins_pose_and_inner_box() -> None:
 
 
 def test_the_standard_bin() -> None:
-    """DESIGN: 0.36 x 0.26 x 0.12 m inside, walls thick enough that nothing tunnels."""
+    """0.36 x 0.26 x 0.12 m inside, walls thick enough that nothing tunnels."""
     assert BinConfig().inner_size == (0.36, 0.26, 0.12)
     assert BinConfig().wall >= 0.02
 
