@@ -8,6 +8,7 @@ import numpy as np
 from perception.frame import Workspace
 from perception.geometry import make_transform, rotation_about
 
+CONTROL_PERIOD = 0.04  # of the environment [s]
 Backend = Literal["rays", "egl", "raster"]
 SensorPreset = Literal["none", "good", "harsh"]
 
@@ -45,6 +46,10 @@ class TrayConfig:
     wall: float = 0.01  # [m]
     position: tuple[float, float] = (0.42, -0.42)  # centre in the world's x and y [m]
 
+    def __post_init__(self) -> None:
+        _require(min(self.inner_size) > 0, f"inner_size must be positive, got {self.inner_size}")
+        _require(self.wall > 0, f"wall must be positive, got {self.wall}")
+
 
 @dataclass(frozen=True, kw_only=True)
 class CameraConfig:
@@ -79,6 +84,10 @@ class RobotConfig:
     max_acceleration: float = 8.0  # of every joint [rad/s^2]; the drives' torque limits allow more near the base
     gripper_time: float = 0.57  # for the jaw's whole stroke [s]: the 2F-85's data sheet, 150 mm/s
 
+    def __post_init__(self) -> None:
+        for name in ("pedestal_height", "max_velocity", "max_acceleration", "gripper_time"):
+            _require(getattr(self, name) > 0, f"{name} must be positive, got {getattr(self, name)}")
+
 
 @dataclass(frozen=True, kw_only=True)
 class ContactConfig:
@@ -91,6 +100,12 @@ class ContactConfig:
     joint_damping: float = 1e-4  # of the free joints [N s/m and N m s]
     sleep_tolerance: float = 1e-2  # velocity below which an island of parts falls asleep [m/s, length-weighted rad/s]
 
+    def __post_init__(self) -> None:
+        _require(self.condim in (1, 3, 4, 6), f"condim must be 1, 3, 4 or 6, got {self.condim}")
+        _require(min(self.friction) >= 0, f"friction must not be negative, got {self.friction}")
+        _require(self.joint_damping >= 0, f"joint_damping must not be negative, got {self.joint_damping}")
+        _require(self.sleep_tolerance > 0, f"sleep_tolerance must be positive, got {self.sleep_tolerance}")
+
 
 @dataclass(frozen=True, kw_only=True)
 class CellConfig:
@@ -101,4 +116,11 @@ class CellConfig:
     tray: TrayConfig = field(default_factory=TrayConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)
-    timestep: float = 0.002  # of the physics [s]
+    timestep: float = 0.002  # of the physics [s]; a whole number of steps makes a control period
+
+    def __post_init__(self) -> None:
+        steps = CONTROL_PERIOD / self.timestep if self.timestep > 0 else 0.0
+        _require(
+            steps >= 1 and abs(steps - round(steps)) < 1e-9,
+            f"timestep must divide the control period of {CONTROL_PERIOD} s, got {self.timestep}",
+        )

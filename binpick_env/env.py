@@ -13,19 +13,20 @@ from numpy.typing import NDArray
 from binpick_env.camera import Capture, DepthCamera
 from binpick_env.candidates import FEATURES, MAX_CANDIDATES, PoseCandidate, pad_candidates
 from binpick_env.clutter import visible_fractions
-from binpick_env.config import CameraConfig, CellConfig, SensorPreset
+from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorPreset
 from binpick_env.outcomes import Delivery, DeliveryEvent, DeliveryJudge
 from binpick_env.parts import Part, load_part
 from binpick_env.perceiver import PoseNoise, View, make_perceiver
 from binpick_env.render import CellRenderer
 from binpick_env.robot import HOME
 from binpick_env.settle import drop_and_settle
-from binpick_env.simulation import CONTROL_PERIOD, Simulation
+from binpick_env.simulation import Simulation
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, quat_from_matrix
 
 Observation = dict[str, NDArray[Any]]
 MAX_EPISODE_STEPS = 12_000
+_NO_RESET = "there is no frame before the first reset()"
 HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home that counts as back, and as having left [rad]
 
 
@@ -118,7 +119,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             threads=threads,
             render_mode=render_mode,
         )
-        low, high = (num_parts, num_parts) if isinstance(num_parts, int) else num_parts
+        low, high = num_parts if isinstance(num_parts, tuple | list) else (int(num_parts), int(num_parts))
         if not 1 <= low <= high:
             raise ValueError(f"num_parts must be a positive number or a rising pair, got {num_parts}")
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -169,6 +170,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by 0.04 s towards the targets of ``action``."""
+        self._require_reset()
         if np.shape(action) != (7,) or not np.all(np.isfinite(action)):
             raise ValueError(f"action must be (7,) and finite, got {action}")
         targets = np.clip(np.asarray(action, dtype=np.float64), self._low, self._high)
@@ -207,7 +209,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     def frame(self) -> Frame:
         """The last frame."""
         if self.capture is None:
-            raise RuntimeError("there is no frame before the first reset()")
+            raise RuntimeError(_NO_RESET)
         return self.capture.frame
 
     @property
@@ -226,10 +228,15 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     def look(self) -> Observation:
         """Take another frame now, with fresh sensor noise, and return the observation."""
+        self._require_reset()
         self._take_frame()
         return self._observe()
 
     # --- inside ----------------------------------------------------------------------------------------------------
+
+    def _require_reset(self) -> None:
+        if self.capture is None:
+            raise RuntimeError(_NO_RESET)
 
     def _take_frame(self) -> None:
         simulation = self.simulation

@@ -102,12 +102,10 @@ class DeliveryJudge:
         for i in sorted(present):
             if i in self._unreleased:
                 kind = Delivery.UNRELEASED
-            elif i in self._entered and self._entered == {i} and present == {i}:
+            elif self._entered == present == {i}:
                 kind = Delivery.DELIVERED
-            elif i in self._entered:
-                kind = Delivery.DOUBLE
             else:
-                continue  # still between closed fingers
+                kind = Delivery.DOUBLE
             events.append(self._retire(i, kind))
         return events
 

@@ -6,13 +6,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.config import CellConfig
+from binpick_env.config import CONTROL_PERIOD, CellConfig
 from binpick_env.parts import Part
 from binpick_env.robot import ARM_JOINTS, FINGER_PADS, GRIPPER, GRIPPER_ACTUATOR, HOME, TCP_SITE
 from binpick_env.scene import BIN_BODY, PART, TABLE_GEOM, TRAY_BODY, cell_spec, parking_poses
 from perception.geometry import Floats, make_transform, matrix_from_quat, quat_from_matrix
 
-CONTROL_PERIOD = 0.04  # of the environment [s]
 ARENA = 128 << 20  # for contacts and constraints [bytes]
 
 

@@ -8,10 +8,9 @@ from typing import get_args
 import numpy as np
 
 from binpick_env.camera import DepthCamera
-from binpick_env.config import Backend
+from binpick_env.config import CONTROL_PERIOD, Backend
 from binpick_env.env import BinPickEnv
 from binpick_env.settle import drop_and_settle
-from binpick_env.simulation import CONTROL_PERIOD
 from policies.benchmarks import Measurement, repeat, seconds
 from policies.scripted import ScriptedPicker
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from binpick_env.config import CONTROL_PERIOD
 from binpick_env.env import BinPickEnv
 from binpick_env.outcomes import Delivery
-from binpick_env.simulation import CONTROL_PERIOD
 from perception.geometry import Floats
 from policies.motion import Trajectory
 from policies.outcomes import GraspOutcome

@@ -15,11 +15,10 @@ from toppra import SplineInterpolator
 from toppra.algorithm import TOPPRA
 from toppra.constraint import JointAccelerationConstraint, JointVelocityConstraintVarying
 
-from binpick_env.config import RobotConfig
+from binpick_env.config import CONTROL_PERIOD, RobotConfig
 from perception.geometry import Floats, require_shape
 from policies.planning_scene import DOF
 
-CONTROL_PERIOD = 0.04  # of the environment [s]
 _KNOT_SPACING = 0.04  # of smooth paths, in the joint space's Euclidean length [rad]
 _MIN_SPACING = 1e-6  # knots nearer than this are one [rad]
 _BEND = 0.6  # of a chord's length: how strongly a leg's end is bent into its neighbour's direction

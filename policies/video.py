@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from binpick_env.config import CONTROL_PERIOD
 from binpick_env.env import BinPickEnv, Observation
-from binpick_env.simulation import CONTROL_PERIOD
 
 EVERY = 4  # steps from picture to picture: 0.16 s
 SPEED = 2.0  # of the film against simulated time

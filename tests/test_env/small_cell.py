@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from binpick_env.config import CameraConfig, CellConfig
+from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig
 from binpick_env.env import BinPickEnv
 from binpick_env.parts import load_part
 from binpick_env.robot import HOME
-from binpick_env.simulation import CONTROL_PERIOD, Simulation
+from binpick_env.simulation import Simulation
 from perception.geometry import Floats, make_transform, rotation_about
 
 CAMERA = CameraConfig(width=160, height=120)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from small_cell import above_tray, centred, grip, small_simulation
 
-from binpick_env.config import CellConfig, RobotConfig, TrayConfig
+from binpick_env.config import CONTROL_PERIOD, CellConfig, RobotConfig, TrayConfig
 from binpick_env.outcomes import LOST_AFTER, REST_TIME, Delivery, DeliveryEvent, DeliveryJudge
 from binpick_env.robot import HOME
-from binpick_env.simulation import CONTROL_PERIOD, Simulation
+from binpick_env.simulation import Simulation
 
 Watch = Callable[..., list[DeliveryEvent]]
 TABLE = (0.8, 0.4, 0.08)  # above the table, away from bin and tray

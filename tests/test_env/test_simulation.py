@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from small_cell import centred, grip, small_simulation, wait
 
-from binpick_env.config import BinConfig, CellConfig, ContactConfig, RobotConfig, TrayConfig
+from binpick_env.config import CONTROL_PERIOD, BinConfig, CellConfig, ContactConfig, RobotConfig, TrayConfig
 from binpick_env.robot import ARM_JOINTS, FINGER_PADS, HOME, TCP_SITE
-from binpick_env.simulation import CONTROL_PERIOD, Push, Simulation
+from binpick_env.simulation import Push, Simulation
 from perception.geometry import Floats, make_transform, matrix_from_quat, random_rotation
 
 

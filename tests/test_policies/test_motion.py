@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from binpick_env.config import RobotConfig
+from binpick_env.config import CONTROL_PERIOD, RobotConfig
 from binpick_env.robot import HOME
 from perception.geometry import make_transform, rotation_about
 from policies.ik import IkSettings, IkSolver
-from policies.motion import CONTROL_PERIOD, JointPath, join, leg, smooth_path, time_path
+from policies.motion import JointPath, join, leg, smooth_path, time_path
 from policies.path_checker import PathChecker
 from policies.planner import MotionPlanner, PlanFailure, PlannerSettings, Tool
 from policies.planning_scene import MAX_CLEARANCE, PlanningScene

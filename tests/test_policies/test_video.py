@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fake_cell import FakeEnv
 
-from binpick_env.simulation import CONTROL_PERIOD
+from binpick_env.config import CONTROL_PERIOD
 from policies.video import EVERY, SPEED, Film, check_video
 
 pytest.importorskip("imageio_ffmpeg")
