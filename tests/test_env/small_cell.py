@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig
@@ -11,12 +12,15 @@ from binpick_env.robot import HOME
 from binpick_env.simulation import Simulation
 from perception.geometry import Floats, make_transform, rotation_about
 
+Step = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
 CAMERA = CameraConfig(width=160, height=120)
+SMALL: dict[str, Any] = {"num_parts": 3, "camera": CAMERA, "threads": 1}
+REST = np.append(HOME, 0.0).astype(np.float32)
 
 
 def small_env(**arguments: Any) -> BinPickEnv:
     """Return a cell with three tees and a camera of few pixels."""
-    return BinPickEnv(**{"num_parts": 3, "camera": CAMERA, "threads": 1} | arguments)
+    return BinPickEnv(**SMALL | arguments)
 
 
 def small_simulation(capacity: int = 3, config: CellConfig | None = None) -> Simulation:
@@ -51,3 +55,18 @@ def grip(simulation: Simulation, i: int, width: float = 0.02) -> None:
         if simulation.gripped():
             break
     wait(simulation, 0.4, simulation.target, 1.0)
+
+
+def act(env: gym.Env[Any, Any], seconds: float, action: np.ndarray = REST) -> list[Step]:
+    return [env.step(action) for _ in range(round(seconds * 25))]  # type: ignore[misc]
+
+
+def random_actions(env: BinPickEnv, count: int, seed: int = 5) -> list[np.ndarray]:
+    env.action_space.seed(seed)
+    return [env.action_space.sample() for _ in range(count)]
+
+
+def assert_same(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> None:
+    assert first.keys() == second.keys()
+    for key in first:
+        np.testing.assert_array_equal(first[key], second[key], err_msg=key)

@@ -1,20 +1,23 @@
 """A real cell whose parts are laid by hand, a log of every control step, and perceivers that do not tell the truth."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from binpick_env.candidates import PoseCandidate
 from binpick_env.env import BinPickEnv
 from binpick_env.perceiver import OraclePerceiver, Perceiver, PoseNoise, View, make_candidate
 from binpick_env.robot import HOME
 from perception.geometry import Floats, make_transform, rotation_about
-from policies.outcomes import PickResult
-from policies.scripted import ScriptedPicker
+from policies.outcomes import Abstention, GraspOutcome, PickResult
+from policies.scripted import T_SENSE, ScriptedPicker
 
 Fault = Callable[[Floats], Floats]
+SMALL_BIN = 6
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -137,3 +140,44 @@ def decision(result: PickResult) -> tuple[Any, ...]:
     grasp = result.grasp
     aim = None if grasp is None else (grasp.T_world_tcp.tobytes(), grasp.opening, grasp.score, grasp.candidate)
     return result.outcome, result.abstention, aim, result.delivered, result.t_motion, result.frame_id
+
+
+def lie(monkeypatch: pytest.MonkeyPatch, cell: HandCell, perceiver: Perceiver) -> None:
+    monkeypatch.setattr(cell.env, "_perceiver", perceiver)
+
+
+@contextmanager
+def greased(cell: HandCell) -> Iterator[None]:
+    friction = cell.env.simulation.model.geom_friction
+    usual = friction.copy()
+    friction[:] = 1e-4
+    try:
+        yield
+    finally:
+        friction[:] = usual
+
+
+def assert_abstains(cell: HandCell, reason: Abstention) -> PickResult:
+    """Pick, and check that nothing was moved for a reason."""
+    frame_id, perception = cell.env.frame_id, cell.env.perception_time
+    result = cell.picker.pick()
+    assert (result.outcome, result.abstention) == (None, reason)
+    assert (result.grasp, result.delivered, result.part) == (None, 0, -1)
+    assert (result.t_motion, result.t_sense, result.frame_id) == (0.0, T_SENSE, frame_id)
+    assert result.t_compute >= perception
+    assert cell.log == []
+    return result
+
+
+def assert_fails(cell: HandCell, outcome: GraspOutcome, *, frames: int = 1) -> PickResult:
+    """Pick, and check that it fails as named, and that the arm is home with the jaw open and the next frame taken."""
+    frame_id = cell.env.frame_id
+    result = cell.picker.pick()
+    assert (result.outcome, result.abstention) == (outcome, None)
+    assert not result.success
+    assert result.delivered == 0
+    assert result.t_motion > 1.0
+    assert result.frame_id == frame_id
+    assert cell.env.frame_id == frame_id + frames
+    assert cell.at_home
+    return result
