@@ -66,6 +66,16 @@ def test_there_is_no_frame_before_the_first_reset() -> None:
     env = small_env()
     with pytest.raises(RuntimeError, match=r"there is no frame before the first reset\(\)"):
         _ = env.frame
+    with pytest.raises(RuntimeError, match=r"there is no frame before the first reset\(\)"):
+        env.step(REST)
+    with pytest.raises(RuntimeError, match=r"there is no frame before the first reset\(\)"):
+        env.look()
+
+
+def test_the_number_of_parts_may_be_numpys() -> None:
+    env = small_env(num_parts=np.int64(2))
+    _, info = env.reset(seed=0)
+    assert info["total"] == 2
 
 
 def test_a_diverged_cell_is_an_error(shared_env: BinPickEnv) -> None:
