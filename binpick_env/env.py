@@ -16,7 +16,7 @@ from binpick_env.clutter import visible_fractions
 from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorPreset
 from binpick_env.outcomes import Delivery, DeliveryEvent, DeliveryJudge
 from binpick_env.parts import Part, load_part
-from binpick_env.perceiver import PoseNoise, View, make_perceiver
+from binpick_env.perceiver import Exposure, PoseNoise, make_perceiver
 from binpick_env.render import CellRenderer
 from binpick_env.robot import HOME
 from binpick_env.settle import drop_and_settle
@@ -67,7 +67,11 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     ## Episode end
     Terminates when no part is left in play; truncates after 12 000 steps (480 s).
-    `info["success"]` and `info["is_success"]` tell whether every part was delivered.
+
+    ## Info
+    Flat scalars: `success` and `is_success` (every part was delivered), `delivered`, `remaining`, `total` (parts),
+    `frame_id`, `last_event` (how a part left play in this step, a `Delivery`, or empty), `time` (simulated, [s]).
+    Wall clock is kept out of it, so that two copies stay equal: see the attributes `render_time` and `perception_time`.
 
     ## Arguments
     | name | default | meaning |
@@ -222,9 +226,9 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         """Whether the episode has used up the steps that the registration allows; the wrapper truncates then."""
         return self._steps >= MAX_EPISODE_STEPS
 
-    def unjudged(self) -> bool:
-        """Whether a part that nothing holds is out of the bin and has not been judged yet."""
-        return bool(self._judge.loose().any())
+    def unjudged(self) -> frozenset[int]:
+        """Return the parts that are out of the bin, held by nothing, and not judged yet."""
+        return frozenset(int(i) for i in np.flatnonzero(self._judge.loose()))
 
     def look(self) -> Observation:
         """Take another frame now, with fresh sensor noise, and return the observation."""
@@ -240,11 +244,12 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     def _take_frame(self) -> None:
         simulation = self.simulation
+        simulation.refresh()
         started = time.perf_counter()
         self.capture = self.camera.capture(simulation.data, self.np_random, self._sensor)
         poses = simulation.part_poses()
         fractions = visible_fractions(self.capture, self.part.model.mesh, poses) * simulation.in_play
-        self.view = View(
+        self.exposure = Exposure(
             capture=self.capture,
             workspace=self.workspace,
             part=self.part.model,
@@ -252,7 +257,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             visible_fractions=fractions,
         )
         rendered = time.perf_counter()
-        self.candidates: list[PoseCandidate] = self._perceiver.perceive(self.view, self.np_random)[:MAX_CANDIDATES]
+        self.candidates: list[PoseCandidate] = self._perceiver.perceive(self.exposure, self.np_random)[:MAX_CANDIDATES]
         self.render_time = rendered - started
         self.perception_time = time.perf_counter() - rendered
         self._candidate_arrays = pad_candidates(self.candidates, self.workspace)
@@ -294,6 +299,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             "delivered": self.delivered,
             "remaining": self.remaining,
             "total": self.total,
+            "time": self.simulation.time,
             "last_event": str(events[-1].kind) if events else "",
             "success": success,
             "is_success": success,

@@ -18,8 +18,8 @@ OFFERED_FROM = 0.3  # visible_fraction from which the oracle shows a part
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class View:
-    """One exposure, with the truth beside it for the perceivers that are allowed to see it.
+class Exposure:
+    """What one exposure shows, with the truth beside it for the perceivers that are allowed to see it.
 
     Attributes:
         capture: Frame and true instance ids.
@@ -39,7 +39,7 @@ class View:
 class Perceiver(Protocol):
     """Turns a view into pose candidates."""
 
-    def perceive(self, view: View, rng: np.random.Generator) -> list[PoseCandidate]:
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> list[PoseCandidate]:
         """Return the seen parts, best first."""
         ...
 
@@ -68,13 +68,13 @@ class OraclePerceiver:
         self._noise = noise or PoseNoise()
         self._offered_from = offered_from
 
-    def perceive(self, view: View, rng: np.random.Generator) -> list[PoseCandidate]:
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> list[PoseCandidate]:
         """Return a candidate for each part of sufficient visible_fraction, the most visible first."""
         order = np.argsort(-view.visible_fractions, kind="stable")
         seen = [int(i) for i in order if view.visible_fractions[i] >= self._offered_from]
         return [self._candidate(view, i, rng) for i in seen]
 
-    def _candidate(self, view: View, i: int, rng: np.random.Generator) -> PoseCandidate:
+    def _candidate(self, view: Exposure, i: int, rng: np.random.Generator) -> PoseCandidate:
         T_world_part = view.T_world_parts[i].copy()
         if self._noise.translation > 0:
             T_world_part[:3, 3] += self._noise.translation * rng.normal(size=3)
@@ -89,7 +89,7 @@ class OraclePerceiver:
 
 
 def make_candidate(
-    view: View, T_world_part: Floats, *, score: float, visible_fraction: float, fill: float, part: int = -1
+    view: Exposure, T_world_part: Floats, *, score: float, visible_fraction: float, fill: float, part: int = -1
 ) -> PoseCandidate:
     """Complete a pose to a candidate with its centre and its highest point."""
     points_world = transform_points(T_world_part, np.asarray(view.part.mesh.vertices))

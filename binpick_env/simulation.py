@@ -96,6 +96,10 @@ class Simulation:
             self.park(i)
         mujoco.mj_forward(self.model, self.data)
 
+    def refresh(self) -> None:
+        """Bring the bodies' poses up to date with the joints': the last step left them one time step behind."""
+        mujoco.mj_kinematics(self.model, self.data)
+
     def advance(self, duration: float) -> None:
         """Let the physics run for ``duration`` [s] with all targets as they are; nothing is gripped meanwhile."""
         self.model.opt.noslip_iterations = 0

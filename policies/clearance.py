@@ -30,7 +30,6 @@ class RankSettings:
     margin: float = 0.001  # every point of the gripper stays this much above everything else that was seen
     max_opening: float = 0.084
     cell: float = 0.002  # of the height map
-    wall: float = 0.02  # thickness of the bin's walls
     per_candidate: int = 8  # grasps kept of each part
     weight_quality: float = 0.30  # of the grasp on the lone part
     weight_vertical: float = 0.10  # 1 straight down, 0 at max_tilt
@@ -46,7 +45,7 @@ class RankSettings:
     def __post_init__(self) -> None:
         if not 0 < self.max_tilt <= np.pi / 2:
             raise ValueError(f"max_tilt must be in (0, pi/2] rad, got {self.max_tilt}")
-        for name in ("margin", "max_opening", "cell", "wall", "per_candidate"):
+        for name in ("margin", "max_opening", "cell", "per_candidate"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
@@ -104,6 +103,8 @@ def rank_grasps(
     workspace: Workspace,
     gripper: GripperModel,
     settings: RankSettings | None = None,
+    *,
+    wall: float = 0.02,
 ) -> tuple[list[GraspCandidate], RankStats]:
     """Place the part's grasps on every seen part and keep the best that are clear of all others.
 
@@ -114,12 +115,13 @@ def rank_grasps(
         workspace: The bin.
         gripper: Where its surfaces are.
         settings: Defaults if None.
+        wall: Thickness of the bin's walls [m].
 
     Returns:
         At most ``per_candidate`` grasps of each part, all together by falling score, and the counts.
     """
     settings = settings or RankSettings()
-    scene = HeightMap.from_frame(frame, workspace, cell=settings.cell, wall=settings.wall)
+    scene = HeightMap.from_frame(frame, workspace, cell=settings.cell, wall=wall)
     ranked: list[GraspCandidate] = []
     tilted = clear = parts_blocked = 0
     for row, (target, others, overlap) in enumerate(_surroundings(scene, candidates, grasps.surface)):

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from binpick_env.clutter import ClutterStats
 from binpick_env.env import BinPickEnv
+from binpick_env.outcomes import Delivery
 from policies.outcomes import PickResult
 
 
@@ -42,6 +43,7 @@ class BinResult:
         picks: Every decision in order, attempts and abstentions.
         termination: Why it ended.
         clutter: Of the settled bin.
+        lost: Parts that left play without being delivered: doubles, fallen out of the bin or into the tray unreleased.
     """
 
     seed: int
@@ -50,6 +52,7 @@ class BinResult:
     picks: tuple[PickResult, ...]
     termination: Termination
     clutter: ClutterStats
+    lost: int = 0
 
     @property
     def attempts(self) -> tuple[PickResult, ...]:
@@ -70,7 +73,7 @@ def run_bin(
     """
     env.reset(seed=seed)
     picker.reset()
-    clutter = ClutterStats.from_fractions(env.view.visible_fractions[env.simulation.in_play])
+    clutter = ClutterStats.from_fractions(env.exposure.visible_fractions[env.simulation.in_play])
     picks: list[PickResult] = []
     while (termination := _ended(env, picks)) is None:
         result = picker.pick()
@@ -86,6 +89,7 @@ def run_bin(
         picks=tuple(picks),
         termination=termination,
         clutter=clutter,
+        lost=sum(event.kind is not Delivery.DELIVERED for event in env.events),
     )
 
 

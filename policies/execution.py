@@ -80,7 +80,7 @@ class Execution:
             self._step(q, 0.0)
 
     def await_judgement(self) -> None:
-        """Wait at rest until no released part is left to be judged."""
+        """Wait at rest until no part is left to be judged, so that each is the attempt's that moved it."""
         for _ in range(round(self._settings.settle_time / CONTROL_PERIOD)):
             if not self._env.unjudged():
                 return
@@ -105,5 +105,7 @@ class Execution:
         return GraspOutcome.NOT_SETTLED
 
     def _step(self, q: Floats, gripper: float) -> None:
+        if self._env.truncated:
+            return
         self._way.append(self._env.simulation.target.copy())
         self._env.step(np.append(q, gripper).astype(np.float32))

@@ -12,7 +12,7 @@ class GraspOutcome(StrEnum):
     An attempt begins when the gripper leaves the pre-grasp.
     """
 
-    DELIVERED = "delivered"  # exactly one part, released over the tray, at rest in it
+    DELIVERED = "delivered"  # one part, released, at rest in the tray alone; parts lost on the way are counted apart
     COLLIDED = "collided"  # hit the bin or pressed on a part on the way down; the descent was broken off
     MISSED = "missed"  # the jaw closed and held nothing
     SLIPPED = "slipped"  # held at first, lost during the lift
@@ -26,7 +26,7 @@ class Abstention(StrEnum):
     """Why no attempt was made."""
 
     NO_CANDIDATE = "no_candidate"  # perception offers no part
-    NO_CLEAR_APPROACH = "no_clear_approach"  # every grasp would touch a neighbour or a wall
+    NO_CLEAR_APPROACH = "no_clear_approach"  # every grasp would touch a neighbour or a wall, or has failed before
     IK_INFEASIBLE = "ik_infeasible"  # clear grasps exist, but the arm reaches none of them
 
 

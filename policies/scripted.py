@@ -21,6 +21,7 @@ from policies.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResu
 from policies.planner import MotionPlanner, Tool
 from policies.planning_scene import PlanningScene
 
+_SPARSE = 8  # every so many of the gripper's points are checked where it has room
 T_SENSE = 0.5  # nominal exposure of a structured-light camera [s]
 
 
@@ -59,15 +60,24 @@ class ScriptedPicker:
     """Picks the best-ranked grasp that the arm can reach. Works on the candidates and the frame of the environment.
 
     What the policy decides on is what a real cell has: frame, candidates, joint and gripper positions, the force at the
-    tool. The truth of the physics is used once, at the end, to name the attempt's outcome.
+    tool. The truth of the physics decides nothing: it ends the wait for the verdict, and names the outcome.
     """
 
     def __init__(self, env: BinPickEnv, settings: PickerSettings | None = None) -> None:
-        """Load gripper, grasps and planner for the environment's part and cell; a few seconds for a new part."""
+        """Load gripper, grasps and planner for the environment's part and cell; a few seconds for a new part.
+
+        Raises:
+            ValueError: There is no grasp on the part.
+        """
         self._env = env
         self._settings = settings or PickerSettings()
         self._gripper = gripper_model()
         self._grasps = sample_grasps(env.part.model)
+        if len(self._grasps) == 0:
+            raise ValueError(
+                f"the jaw (stroke {1000 * self._gripper.stroke:.0f} mm) finds no grasp on {env.part.model.name!r}: "
+                "it needs two opposite faces that its pads can reach"
+            )
         scene = PlanningScene(env.config)
         self._ik = IkSolver(scene)
         self._planner = MotionPlanner(scene, self._ik)
@@ -91,11 +101,13 @@ class ScriptedPicker:
         compute = time.perf_counter() - started + env.perception_time
         if isinstance(plan, Abstention):
             return PickResult(abstention=plan, t_sense=T_SENSE, t_compute=compute, frame_id=frame_id)
-        began, events_before = env.simulation.time, len(env.events)
+        began, events_before, strays = env.simulation.time, len(env.events), env.unjudged()
         execution = Execution(env, self._settings.execution)
         candidate = env.candidates[plan.grasp.candidate]
         planning = self._execute(plan, execution, candidate.T_world_part)
-        kinds = [event.kind for event in env.events[events_before:]]
+        execution.await_judgement()
+        # A part that was out of the bin already, and came to rest only now, is an earlier attempt's.
+        kinds = [event.kind for event in env.events[events_before:] if event.part not in strays]
         outcome = execution.outcome(kinds)
         if outcome is not GraspOutcome.DELIVERED:
             self._failed.append(_Failure(centre_world=candidate.centre_world, T_world_grasp=plan.grasp.T_world_grasp))
@@ -117,7 +129,13 @@ class ScriptedPicker:
         if not env.candidates:
             return Abstention.NO_CANDIDATE
         ranked, self.rank_stats = rank_grasps(
-            env.candidates, self._grasps, env.frame, env.workspace, self._gripper, settings.rank
+            env.candidates,
+            self._grasps,
+            env.frame,
+            env.workspace,
+            self._gripper,
+            settings.rank,
+            wall=env.config.bin.wall,
         )
         if not ranked:
             return Abstention.NO_CLEAR_APPROACH
@@ -174,10 +192,18 @@ class ScriptedPicker:
         started = time.perf_counter()
         T_world_tcp = self._ik.tcp_pose(plan.q_grasp)
         carried = transform_points(invert_transform(T_world_tcp) @ T_world_part, self._outline)
-        tool = Tool(opening=plan.grasp.width, points_tcp=carried)
+        jaw = self._gripper.hull_points(plan.grasp.width)[::_SPARSE]
+        tool = Tool(opening=plan.grasp.width, points_tcp=np.vstack([carried, jaw]))
         lift = self._planner.clearing_lift(plan.q_grasp, tool) + 0.01
         release = self._release_posture(carried)
-        carry = self._planner.plan_transfer(plan.q_grasp, release, tool, lift=lift, scale=settings.carry_scale)
+        carry = self._planner.plan_transfer(
+            plan.q_grasp,
+            release,
+            tool,
+            lift=lift,
+            obstacle_height=self._pile_height(),
+            scale=settings.carry_scale,
+        )
         if carry.trajectory is None:  # with the part in the jaw, stricter clearances than the lone gripper's
             carry = self._planner.plan_transfer(plan.q_grasp, HOME, Tool(opening=plan.grasp.width), lift=lift)
         planning = time.perf_counter() - started
@@ -188,9 +214,7 @@ class ScriptedPicker:
         if not execution.carry(carry.trajectory, self._gripper.control(settings.empty_gap)):
             return planning + self._go_home(execution)
         execution.release()
-        planning += self._go_home(execution)
-        execution.await_judgement()
-        return planning
+        return planning + self._go_home(execution)
 
     def _release_posture(self, carried_tcp: Floats) -> Floats:
         """Return the (6,) posture above the tray from which the carried part has the least to fall."""
@@ -206,7 +230,7 @@ class ScriptedPicker:
         """Lift out of the bin and go home with the jaw open; return the wall clock of planning [s]."""
         started = time.perf_counter()
         q = self._env.simulation.target.copy()
-        tool = Tool(points_tcp=self._gripper.hull_points(0.0)[:1])
+        tool = Tool(points_tcp=self._gripper.hull_points(0.0)[::_SPARSE])
         plan = self._planner.plan_transfer(q, HOME, tool, lift=self._planner.clearing_lift(q, tool))
         planning = time.perf_counter() - started
         if plan.trajectory is None:

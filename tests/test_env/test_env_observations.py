@@ -35,7 +35,7 @@ def test_observations_by_hand(env: BinPickEnv) -> None:
 def test_candidates_are_the_visible_parts(env: BinPickEnv) -> None:
     observation = env.look()
     count = int(observation["candidate_mask"].sum())
-    assert count == len(env.candidates) == (env.view.visible_fractions >= 0.3).sum() > 0
+    assert count == len(env.candidates) == (env.exposure.visible_fractions >= 0.3).sum() > 0
     T_bin_world = np.linalg.inv(env.workspace.T_world_bin)
     poses = env.simulation.part_poses()
     for row, candidate in zip(observation["candidates"], env.candidates, strict=False):
@@ -76,7 +76,7 @@ def test_more_parts_than_rows_are_cut_at_the_rows() -> None:
     wide = replace(CellConfig(), bin=BinConfig(inner_size=(0.5, 0.5, 0.12)))
     env = small_env(num_parts=40, config=wide, camera=CameraConfig(width=320, height=320))
     observation, _ = env.reset(seed=0)
-    assert (env.view.visible_fractions >= 0.3).sum() > MAX_CANDIDATES
+    assert (env.exposure.visible_fractions >= 0.3).sum() > MAX_CANDIDATES
     assert len(env.candidates) == MAX_CANDIDATES
     np.testing.assert_array_equal(observation["candidate_mask"], 1)
     assert env.observation_space.contains(observation)

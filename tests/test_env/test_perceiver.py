@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from binpick_env.config import BinConfig
-from binpick_env.perceiver import OFFERED_FROM, OraclePerceiver, PoseNoise, View, make_candidate, make_perceiver
+from binpick_env.perceiver import OFFERED_FROM, Exposure, OraclePerceiver, PoseNoise, make_candidate, make_perceiver
 from perception.geometry import Floats, make_transform, random_rotation, rotation_angle, transform_points
 from perception.part import PartModel
 
@@ -21,13 +21,13 @@ def off_centre() -> PartModel:
     return PartModel.from_mesh("block", box)
 
 
-def view(fractions: list[float], part: PartModel | None = None, seed: int = 0) -> View:
+def view(fractions: list[float], part: PartModel | None = None, seed: int = 0) -> Exposure:
     rng = np.random.default_rng(seed)
     poses = [
         WORKSPACE.T_world_bin @ make_transform(random_rotation(rng), rng.uniform(-0.05, 0.05, 3)) for _ in fractions
     ]
     capture: Any = None  # the oracle does not look at pictures
-    return View(
+    return Exposure(
         capture=capture,
         workspace=WORKSPACE,
         part=part or off_centre(),
@@ -36,7 +36,7 @@ def view(fractions: list[float], part: PartModel | None = None, seed: int = 0) -
     )
 
 
-def perceive(seen: View, noise: PoseNoise | None = None, seed: int = 0) -> list[Any]:
+def perceive(seen: Exposure, noise: PoseNoise | None = None, seed: int = 0) -> list[Any]:
     return OraclePerceiver(noise).perceive(seen, np.random.default_rng(seed))
 
 

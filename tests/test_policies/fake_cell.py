@@ -67,6 +67,7 @@ class FakeEnv:
     truncated: bool = False
     render_time: float = 0.0
     closed: bool = False
+    events: list[Any] = field(default_factory=list)
     seeds: list[int | None] = field(default_factory=list)
 
     @property
@@ -78,7 +79,7 @@ class FakeEnv:
         return self.parts - self.delivered - self.lost
 
     @property
-    def view(self) -> Any:
+    def exposure(self) -> Any:
         return SimpleNamespace(visible_fractions=np.linspace(0.1, 1.0, self.parts))
 
     @property

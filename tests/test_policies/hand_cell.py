@@ -10,7 +10,7 @@ import pytest
 
 from binpick_env.candidates import PoseCandidate
 from binpick_env.env import BinPickEnv
-from binpick_env.perceiver import OraclePerceiver, Perceiver, PoseNoise, View, make_candidate
+from binpick_env.perceiver import Exposure, OraclePerceiver, Perceiver, PoseNoise, make_candidate
 from binpick_env.robot import HOME
 from perception.geometry import Floats, make_transform, rotation_about
 from policies.outcomes import Abstention, GraspOutcome, PickResult
@@ -104,11 +104,11 @@ class Shifted:
     shift_world: tuple[float, float, float]
     parts: tuple[int, ...] | None = None
 
-    def perceive(self, view: View, rng: np.random.Generator) -> list[PoseCandidate]:
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> list[PoseCandidate]:
         seen = OraclePerceiver().perceive(view, rng)
         return [self._moved(view, c) if self.parts is None or c.part in self.parts else c for c in seen]
 
-    def _moved(self, view: View, candidate: PoseCandidate) -> PoseCandidate:
+    def _moved(self, view: Exposure, candidate: PoseCandidate) -> PoseCandidate:
         T_world_part = make_transform(translation=self.shift_world) @ candidate.T_world_part
         return make_candidate(view, T_world_part, score=1.0, visible_fraction=1.0, fill=1.0, part=candidate.part)
 
@@ -119,7 +119,7 @@ class Nameless:
 
     inner: Perceiver
 
-    def perceive(self, view: View, rng: np.random.Generator) -> list[PoseCandidate]:
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> list[PoseCandidate]:
         return [replace(c, part=-1) for c in self.inner.perceive(view, rng)]
 
 
@@ -127,7 +127,7 @@ class Nameless:
 class Blind:
     """Sees nothing."""
 
-    def perceive(self, view: View, rng: np.random.Generator) -> list[PoseCandidate]:
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> list[PoseCandidate]:
         return []
 
 

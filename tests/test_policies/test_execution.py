@@ -27,6 +27,7 @@ class NoteEnv:
     force: Callable[[int], float] = lambda _: 0.0
     jaw: Callable[[int], float] = lambda _: 0.5
     loose: Callable[[int], bool] = lambda _: False
+    ends_after: int = 10_000
     target: Floats = field(default_factory=HOME.copy)
     actions: list[np.ndarray] = field(default_factory=list)
 
@@ -44,8 +45,12 @@ class NoteEnv:
     def robot_push(self) -> SimpleNamespace:
         return SimpleNamespace(force=self.force(len(self.actions)))
 
-    def unjudged(self) -> bool:
-        return self.loose(len(self.actions))
+    def unjudged(self) -> frozenset[int]:
+        return frozenset({0}) if self.loose(len(self.actions)) else frozenset()
+
+    @property
+    def truncated(self) -> bool:
+        return len(self.actions) >= self.ends_after
 
     def step(self, action: np.ndarray) -> None:
         assert action.shape == (7,)
@@ -209,3 +214,9 @@ def test_what_left_play_goes_before_what_was_held(history: str) -> None:
 
 def test_a_double_of_two_parts_is_one_outcome() -> None:
     assert lived("held: yes yes yes").outcome([Delivery.DOUBLE, Delivery.DOUBLE]) is GraspOutcome.DOUBLE
+
+
+def test_nothing_moves_after_the_episode_is_truncated() -> None:
+    env = NoteEnv(ends_after=3)
+    execution(env).release()
+    assert len(env.actions) == 3

@@ -165,8 +165,8 @@ def test_a_decision_reads_no_truth(tees: HandCell, monkeypatch: pytest.MonkeyPat
     assert capture is not None
     nothing = {name: np.zeros(0) for name in ("instance_ids", "depth_true", "normals")}
     tees.env.capture = replace(capture, **nothing)  # type: ignore[arg-type]
-    monkeypatch.setattr(tees.env, "view", None)
-    with pytest.raises(AssertionError, match="asked for the truth"):  # only by the physics, in the first step
+    monkeypatch.setattr(tees.env, "exposure", None)
+    with pytest.raises(AssertionError, match="asked for the truth"):  # after the plan, to judge the attempt by
         tees.picker.pick()
     assert tees.picker.rank_stats.clear > 0
     assert tees.env.simulation.time > 0.39

@@ -1,12 +1,15 @@
 """Attempts of the scripted picker that fail on the real physics: every fault ends as it is named."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from hand_cell import HandCell, Shifted, assert_abstains, assert_fails, greased, lie
 
+from binpick_env.env import BinPickEnv
 from binpick_env.outcomes import Delivery
 from perception.geometry import Floats, make_transform, rotation_angle
 from policies.clearance import RankSettings
@@ -215,3 +218,20 @@ def test_a_picker_that_finds_no_way_with_the_part_lets_it_go_and_retraces(
     way_in = np.stack([step.target for step in tees.log[: closed[0]]])
     way_out = np.stack([step.target for step in tees.log[-len(way_in) :]])
     np.testing.assert_allclose(way_out[:-1], way_in[-2::-1], atol=1e-6)
+
+
+def test_a_part_that_was_lost_before_is_not_this_attempts(tees: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    lie(monkeypatch, tees, Shifted(ASIDE, parts=(0,)))
+    beside = tees.flat(0.0, 0.45)  # on the table
+    tees.lay(tees.flat(), unseen=[beside])
+    result = tees.picker.pick()
+    assert result.outcome is GraspOutcome.MISSED
+    assert [event.kind for event in tees.env.events] == [Delivery.LEFT_BIN]
+
+
+def test_a_part_too_wide_for_the_jaw_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path))
+    trimesh.creation.box((0.09, 0.09, 0.09)).export(tmp_path / "block.stl")
+    env = BinPickEnv(str(tmp_path / "block.stl"), num_parts=1)
+    with pytest.raises(ValueError, match=r"the jaw \(stroke 85 mm\) finds no grasp on 'block'"):
+        ScriptedPicker(env)
