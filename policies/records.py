@@ -12,7 +12,7 @@ from binpick_env.clutter import ClutterStats
 from policies.episode import BinResult, Termination
 from policies.outcomes import Abstention, GraspOutcome, PickResult
 
-RECORD_VERSION = 1  # raise it when a field changes its meaning: older records are then computed anew
+RECORD_VERSION = 2  # raise it when a field changes its meaning: older records are then computed anew
 
 
 class RecordError(ValueError):
@@ -93,6 +93,7 @@ class BinRecord:
         git_commit: Of the code that made it, "" outside of a checkout.
         before: File name of the picture of the settled bin; "" if none was kept.
         after: File name of the picture at the bin's end; "" if none was kept.
+        lost: Parts that left play without being delivered.
     """
 
     config_hash: str
@@ -109,6 +110,7 @@ class BinRecord:
     git_commit: str = ""
     before: str = ""
     after: str = ""
+    lost: int = 0
 
     @property
     def attempts(self) -> tuple[PickRecord, ...]:
@@ -126,6 +128,7 @@ class BinRecord:
             termination=result.termination,
             clutter=result.clutter,
             picks=picks,
+            lost=result.lost,
             **facts,
         )
 

@@ -77,15 +77,18 @@ def _causes(summary: Summary) -> str:
     ]
     reasons = [(name.replace("_", " "), count, "idle") for name, count in summary.abstentions.items()]
     ends = [(name, count, "good" if name == "empty" else "idle") for name, count in summary.termination.items()]
+    remaining = summary.parts_total - summary.delivered - summary.lost
     c = summary.clutter
     clutter = (
         f"Of the settled bins: median visible fraction {number(c['median'], 2)}, {percent(c['below_half'])} of "
         f"parts under 0.5 visible, {percent(c['above_nine_tenths'])} over 0.9."
     )
+    fate = f"{summary.delivered} delivered, {summary.lost} lost (out of play undelivered), {remaining} left in the bin."
     left = f"<div class='card'><h3>Attempts by outcome</h3>{bars(outcomes, summary.attempts)}</div>"
     right = (
         f"<div class='card'><h3>Abstentions by reason</h3>{bars(reasons, sum(summary.abstentions.values()))}"
-        f"<h3>Bins by their end</h3>{bars(ends, summary.bins)}<h3>Clutter</h3><p>{clutter}</p></div>"
+        f"<h3>Bins by their end</h3>{bars(ends, summary.bins)}<h3>Parts</h3><p>{fate}</p>"
+        f"<h3>Clutter</h3><p>{clutter}</p></div>"
     )
     return f"<h2>Where it is won and lost</h2><div class='grid two'>{left}{right}</div>"
 
@@ -109,7 +112,8 @@ def _gallery(records: Sequence[BinRecord], pictures: Path) -> str:
 
 def _bin(record: BinRecord, pictures: Path) -> str:
     facts = (
-        f"seed {record.seed} · {record.delivered} of {record.parts_total} delivered · {_ENDS[record.termination]} · "
+        f"seed {record.seed} · {record.delivered} of {record.parts_total} delivered, {record.lost} lost · "
+        f"{_ENDS[record.termination]} · "
         f"median visibility {record.clutter.median:.2f} · {record.wall:.1f} s"
     )
     views = ""

@@ -30,6 +30,7 @@ class Summary:
         successes: Attempts that delivered exactly one part.
         parts_total: Parts after settling.
         delivered: Parts delivered.
+        lost: Parts that left play without being delivered: doubles, fallen out of the bin or into the tray unreleased.
         abstentions: Decisions without an attempt, by reason.
         termination: Bins by the reason of their end.
         outcomes: Attempts by how they ended.
@@ -57,6 +58,7 @@ class Summary:
     successes: int
     parts_total: int
     delivered: int
+    lost: int
     abstentions: dict[str, int]
     termination: dict[str, int]
     outcomes: dict[str, int]
@@ -120,6 +122,7 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
         successes=successes,
         parts_total=settled,
         delivered=delivered,
+        lost=sum(record.lost for record in records),
         abstentions=_count(Abstention, [p.abstention for r in records for p in r.picks if p.abstention is not None]),
         termination=_count(Termination, [record.termination for record in records]),
         outcomes=_count(GraspOutcome, [pick.outcome for pick in attempts]),

@@ -17,7 +17,7 @@ def result_table(summary: Summary) -> str:
     lines += _counts("attempts by outcome", summary.outcomes, summary.attempts)
     lines += _counts("abstentions by reason", summary.abstentions, sum(summary.abstentions.values()))
     lines += _counts("bins by their end", summary.termination, summary.bins)
-    lines += ["─" * WIDTH, *_clutter(summary)]
+    lines += ["─" * WIDTH, *_parts(summary), *_clutter(summary)]
     if len(summary.git_commits) > 1:
         lines.append(f"NOTE  bins of {len(summary.git_commits)} different commits: {', '.join(summary.git_commits)}")
     return "\n".join(lines)
@@ -55,6 +55,11 @@ def _counts(title: str, counts: dict[str, int], total: int) -> list[str]:
         bar = "█" * max(1, round(_BAR * count / total))
         lines.append(f"{title if k == 0 else '':<28}{name:<20}{count:>5}  {bar}")
     return lines
+
+
+def _parts(summary: Summary) -> list[str]:
+    left = summary.parts_total - summary.delivered - summary.lost
+    return [f"parts         {summary.delivered} delivered, {summary.lost} lost, {left} left in the bin"]
 
 
 def _clutter(summary: Summary) -> list[str]:

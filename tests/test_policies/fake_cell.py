@@ -44,7 +44,7 @@ def abstain(reason: Abstention = Abstention.NO_CANDIDATE) -> PickResult:
     return PickResult(abstention=reason, t_sense=0.5, t_compute=0.1)
 
 
-def bin_result(*picks: PickResult, seed: int = 1, parts: int = 10) -> BinResult:
+def bin_result(*picks: PickResult, seed: int = 1, parts: int = 10, lost: int = 0) -> BinResult:
     return BinResult(
         seed=seed,
         parts_total=parts,
@@ -52,6 +52,7 @@ def bin_result(*picks: PickResult, seed: int = 1, parts: int = 10) -> BinResult:
         picks=tuple(picks),
         termination=Termination.ABSTAINED,
         clutter=ClutterStats.from_fractions(np.linspace(0.0, 1.0, parts)),
+        lost=lost,
     )
 
 

@@ -15,13 +15,13 @@ from policies.tables import columns, result_table
 CONFIG = EvaluationConfig()
 DELIVERED, MISSED = GraspOutcome.DELIVERED, GraspOutcome.MISSED
 RATES = {"gsr", "dr", "mpph", "ap", "ap50", "ap75", "candidate_pose_accuracy", "intervals"}
-COUNTS = {"attempts", "successes", "parts_total", "delivered", "abstentions", "termination", "outcomes"}
+COUNTS = {"attempts", "successes", "parts_total", "delivered", "lost", "abstentions", "termination", "outcomes"}
 CONTRACT = RATES | COUNTS | {"time", "clutter", "camera_backend", "versions"}
 
 
-def record(index: int, *picks: PickResult, parts: int = 10) -> BinRecord:
+def record(index: int, *picks: PickResult, parts: int = 10, lost: int = 0) -> BinRecord:
     facts = {"config_hash": CONFIG.digest(), "index": index, "wall": 12.0, "settle": 2.0, "render": 3.0}
-    return BinRecord.from_result(bin_result(*picks, parts=parts), [""] * len(picks), **facts)
+    return BinRecord.from_result(bin_result(*picks, parts=parts, lost=lost), [""] * len(picks), **facts)
 
 
 @pytest.fixture
@@ -62,6 +62,12 @@ def test_every_cause_is_counted_the_absent_ones_too(records: list[BinRecord]) ->
     assert summary.outcomes == {str(kind): 0 for kind in GraspOutcome} | {"delivered": 3, "missed": 1}
     assert summary.abstentions == {"no_candidate": 1, "no_clear_approach": 0, "ik_infeasible": 1}
     assert summary.termination == {"empty": 0, "2F": 0, "abstained": 2, "time": 0}
+
+
+def test_lost_parts_are_added_up_and_told_from_those_left(records: list[BinRecord]) -> None:
+    summary = sum_up([*records, record(2, attempt(GraspOutcome.DOUBLE), lost=2)])
+    assert summary.lost == 2
+    assert "parts         3 delivered, 2 lost, 45 left in the bin" in result_table(summary)
 
 
 def test_clutter_weighs_bins_by_their_parts(records: list[BinRecord]) -> None:
