@@ -132,7 +132,8 @@ def evaluate_bin(
     try:
         return _evaluate(config, index, seed, extras or Extras(), on_pick, make_cell)
     except Exception as error:
-        raise BinError(f"bin {index} (seed {seed}) failed: {type(error).__name__}: {error}") from error
+        reason = " ".join(str(error).split())  # on one line
+        raise BinError(f"bin {index} (seed {seed}) failed: {type(error).__name__}: {reason}") from error
 
 
 def _evaluate(

@@ -33,7 +33,7 @@ def cell(args: tyro.conf.OmitArgPrefixes[Cell]) -> int:
             return 0
         stream = bench_cell(args.part, args.count, args.seed, args.repeats, args.picks)
         rows = list(tqdm(stream, desc="cell", unit="row"))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RuntimeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(benchmark_table(rows))

@@ -2,6 +2,7 @@
 
 import logging
 import sys
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from tqdm import tqdm
 
 from binpick_env.config import Backend, CameraConfig, SensorPreset
 from binpick_env.perceiver import Perception, PoseNoise
-from policies.evaluation import EvaluationConfig
+from policies.evaluation import BinError, EvaluationConfig
 from policies.jobs import Job, run_job
 from policies.outcomes import PickResult
 from policies.records import BinRecord, json_text, write_atomically
@@ -78,7 +79,10 @@ def main(args: Arguments) -> int:
     except KeyboardInterrupt:
         print(f"\nstopped; finished bins are kept in {folder}: the same command goes on from there", file=sys.stderr)
         return 130
-    except (ValueError, OSError, ModuleNotFoundError, NotImplementedError) as error:
+    except BrokenProcessPool:
+        print("error: a worker was killed, perhaps for want of memory; try fewer --workers", file=sys.stderr)
+        return 2
+    except (BinError, ValueError, OSError, ModuleNotFoundError, NotImplementedError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     summary = summarise(records, config, np.random.default_rng(args.seed))

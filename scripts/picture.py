@@ -24,7 +24,7 @@ def main(args: Arguments) -> int:
     """Make the picture; return the exit code."""
     try:
         picture = portrait(args.part, args.seed, args.width, args.height)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RuntimeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     save_png(picture, args.out)

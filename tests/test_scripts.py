@@ -3,11 +3,15 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from types import ModuleType
 
 import cv2
 import pytest
+
+from binpick_env.settle import SettleError
+from policies.evaluation import BinError
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
@@ -77,6 +81,46 @@ def test_ctrl_c_says_how_to_go_on(
     monkeypatch.setattr(pick, "run_job", interrupted)
     assert pick.main(pick.Arguments(out=tmp_path)) == 130
     assert f"finished bins are kept in {tmp_path}: the same command goes on from there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (BinError("bin 3 (seed 7) failed: SettleError: no rest"), "bin 3 (seed 7) failed: SettleError: no rest"),
+        (BrokenProcessPool("terminated abruptly"), "a worker was killed"),
+    ],
+)
+def test_a_bin_that_fails_is_one_line_and_exit_code_2(
+    fault: Exception,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pick = load("pick.py")
+
+    def fail(*_: object) -> None:
+        raise fault
+
+    monkeypatch.setattr(pick, "run_job", fail)
+    assert pick.main(pick.Arguments(out=tmp_path)) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
+    assert message in line
+
+
+def test_a_pile_that_does_not_settle_is_one_line_in_every_script(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture, bench = load("picture.py"), load("bench.py")
+
+    def fail(*_: object) -> None:
+        raise SettleError("25 parts do not come to rest")
+
+    monkeypatch.setattr(picture, "portrait", fail)
+    monkeypatch.setattr(bench, "bench_cell", fail)
+    for run_it in (lambda: picture.main(picture.Arguments()), lambda: bench.cell(bench.Cell())):
+        assert run_it() == 2
+        assert capsys.readouterr().err == "error: 25 parts do not come to rest\n"
 
 
 @pytest.mark.slow
