@@ -54,8 +54,9 @@ picture: $(VENV)/.run-stamp  ## the README's picture
 	$(BIN)/python scripts/picture.py --part tee --seed 0 --out docs/cell.png
 
 build: $(VENV)/.dev-stamp  ## the wheel in dist/, tested alone from another directory
+	rm -rf dist
 	$(BIN)/python -m build --wheel --no-isolation --outdir dist
-	$(BIN)/python -m pytest tests/test_wheel.py -m slow
+	BINPICK_WHEEL=$$(ls dist/*.whl) $(BIN)/python -m pytest tests/test_wheel.py -m slow
 
 clean:  ## remove what was made, results in runs/ excepted
 	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

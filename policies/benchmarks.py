@@ -1,7 +1,6 @@
 """Timings that can be kept and compared: repeated, with their spread, beside the machine they were taken on."""
 
 import json
-import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from policies.provenance import command_line, git_commit, versions
+from policies.provenance import command_line, git_commit, machine, versions
 from policies.records import json_text, write_atomically
 from policies.tables import columns
 
@@ -79,7 +78,7 @@ def comparison_table(before: Sequence[Measurement], after: Sequence[Measurement]
 
 def save_benchmark(path: Path, name: str, rows: Sequence[Measurement]) -> None:
     """Write the rows with machine, versions, commit and command."""
-    facts: dict[str, Any] = {"benchmark": name, "machine": platform.processor() or platform.machine()}
+    facts: dict[str, Any] = {"benchmark": name, "machine": machine()}
     facts |= {"commit": git_commit(), "command": command_line(), "versions": versions()}
     write_atomically(path, json_text({**facts, "rows": [asdict(row) for row in rows]}))
 

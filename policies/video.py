@@ -48,6 +48,7 @@ class Film(AbstractContextManager["Film"]):
         self._steps = 0
         self._max_steps = round(limit / CONTROL_PERIOD)
         self._writer: Any = None
+        self._env: WatchedEnv | None = None
         self._path = path
         if path is not None:
             check_video(path)
@@ -62,6 +63,7 @@ class Film(AbstractContextManager["Film"]):
             if not isinstance(env, WatchedEnv):
                 raise ValueError(f"only a WatchedEnv can be filmed, got {type(env).__name__}")
             env.film = film
+            film._env = env
         return film
 
     def after_step(self, env: BinPickEnv) -> None:
@@ -92,6 +94,8 @@ class Film(AbstractContextManager["Film"]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        if self._env is not None:
+            self._env.film = None  # the next bin is not filmed
         if self._writer is None or self._path is None:
             return
         self._writer.close()
@@ -109,4 +113,6 @@ def check_video(path: Path) -> None:
     try:
         importlib.import_module("imageio_ffmpeg")
     except ImportError as error:
-        raise ModuleNotFoundError("a film needs imageio-ffmpeg: pip install 'binpick[report]'") from error
+        raise ModuleNotFoundError(
+            "a film needs imageio-ffmpeg: .venv/bin/python -m pip install -e '.[report]'"
+        ) from error

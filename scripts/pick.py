@@ -2,23 +2,26 @@
 
 import logging
 import sys
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import tyro
 from tqdm import tqdm
 
 from binpick_env.config import Backend, CameraConfig, SensorPreset
+from binpick_env.parts import Unit
 from binpick_env.perceiver import Perception, PoseNoise
 from policies.evaluation import BinError, EvaluationConfig
 from policies.jobs import Job, run_job
 from policies.outcomes import PickResult
-from policies.records import BinRecord, json_text, write_atomically
+from policies.provenance import git_commit
+from policies.records import BinRecord
 from policies.report import write_report
-from policies.summary import summarise
-from policies.tables import result_table
+from policies.summary import save_summary, summarise
+from policies.tables import found_note, part_note, result_table
 from policies.video import check_video
 
 
@@ -30,6 +33,9 @@ class Arguments:
     """
 
     part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
+    unit: Unit | None = None  # of a file's coordinates; metres or millimetres, whichever is plausible, unless given
+    symmetry: Literal["detect", "none"] = "detect"  # of a file's shape; none: every pose counts as its own
+    density: float | None = None  # [kg/m^3]; the catalogue's, or 2700 (aluminium) for a file, unless given
     bins: int = 10  # how many bins
     seed: int = 0  # bin i's own seed follows from this and i alone
     perception: Perception = "oracle"  # oracle: true poses of the parts that are visible enough
@@ -42,6 +48,7 @@ class Arguments:
     backend: Backend = CameraConfig().backend  # what renders the camera's frames
     noise_mm: float = 0.0  # the oracle's position error, standard deviation per axis [mm]
     noise_deg: float = 0.0  # the oracle's rotation error, standard deviation [deg]
+    fresh: bool = False  # compute every bin again, those that are there already too
     out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED unless given
     json: Path | None = None  # where to write the numbers; results.json in the folder unless given
     html: bool = True  # write report.html into the folder, with pictures
@@ -52,6 +59,9 @@ class Arguments:
         """Return what the numbers depend on."""
         return EvaluationConfig(
             part=self.part,
+            unit=self.unit,
+            symmetry=self.symmetry,
+            density=self.density,
             seed=self.seed,
             perception=self.perception,
             sensor=self.sensor,
@@ -60,40 +70,39 @@ class Arguments:
             pose_noise=PoseNoise(translation=self.noise_mm / 1000, rotation=float(np.radians(self.noise_deg))),
         )
 
-    def folder(self) -> Path:
-        """Return where results go."""
-        return self.out or Path("runs") / f"pick-{Path(self.part).stem}-{self.perception}-{self.seed}"
+    def job(self) -> Job:
+        """Return how it is done."""
+        out = self.out or Path("runs") / f"pick-{Path(self.part).stem}-{self.perception}-{self.seed}"
+        job = Job(out=out, bins=self.bins, workers=self.workers, pictures=self.html, fresh=self.fresh)
+        return replace(job, video=self.video, video_limit=self.video_limit)
 
 
 def main(args: Arguments) -> int:
     """Run the job; return the exit code."""
-    folder = args.folder()
     try:
-        config = args.config()
-        job = Job(out=folder, bins=args.bins, workers=args.workers, pictures=args.html, video=args.video)
-        job = replace(job, video_limit=args.video_limit)
+        config, job = args.config(), args.job()
         if args.video is not None:
             check_video(args.video)
-        config.check()
+        part = config.check()
+        if part.source != config.part:  # a file
+            print(part_note(part))
         records = _run(config, job)
     except KeyboardInterrupt:
-        print(f"\nstopped; finished bins are kept in {folder}: the same command goes on from there", file=sys.stderr)
+        kept = f"finished bins are kept in {args.job().out}"
+        print(f"\nstopped; {kept}: the same command goes on from there", file=sys.stderr)
         return 130
-    except BrokenProcessPool:
-        print("error: a worker was killed, perhaps for want of memory; try fewer --workers", file=sys.stderr)
-        return 2
     except (BinError, ValueError, OSError, ModuleNotFoundError, NotImplementedError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     summary = summarise(records, config, np.random.default_rng(args.seed))
-    results = args.json or folder / "results.json"
-    write_atomically(results, json_text(asdict(summary)))
+    results = args.json or job.out / "results.json"
+    save_summary(results, summary)
     if args.html:
-        write_report(folder / "report.html", summary, records, folder)
+        write_report(job.out / "report.html", summary, records, job.out)
     print(result_table(summary))  # last: a closed pipe must not cost the files
     print(f"numbers   {results}")
     if args.html:
-        print(f"report    {folder / 'report.html'}")
+        print(f"report    {job.out / 'report.html'}")
     return 0
 
 
@@ -110,7 +119,10 @@ def _run(config: EvaluationConfig, job: Job) -> list[BinRecord]:
             bar.set_postfix(last=f"{record.delivered}/{record.parts_total} parts")
             bar.update()
 
-        return run_job(config, job, on_bin, on_pick)
+        def on_found(found: Sequence[BinRecord]) -> None:
+            tqdm.write(found_note(found, job.bins, git_commit()))
+
+        return run_job(config, job, on_bin, on_pick, on_found=on_found)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ def test_importing_the_environment_leaves_heavy_packages_alone(heavy: str) -> No
 @pytest.mark.parametrize("path", SOURCES, ids=name_of)
 def test_files_are_small_and_well_named(path: Path) -> None:
     lines = path.read_text().count("\n")
-    assert lines < (120 if path.parent.name == "scripts" else 400), f"{lines} lines: this file holds two ideas"
+    assert lines < (140 if path.parent.name == "scripts" else 400), f"{lines} lines: this file holds two ideas"
     assert path.stem not in ("utils", "helpers", "misc")
 
 

@@ -3,12 +3,12 @@ import json
 import os
 import subprocess
 import sys
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from types import ModuleType
 
 import cv2
 import pytest
+import trimesh
 
 from binpick_env.settle import SettleError
 from policies.evaluation import BinError
@@ -75,7 +75,7 @@ def test_ctrl_c_says_how_to_go_on(
 ) -> None:
     pick = load("pick.py")
 
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pick, "run_job", interrupted)
@@ -87,7 +87,7 @@ def test_ctrl_c_says_how_to_go_on(
     ("fault", "message"),
     [
         (BinError("bin 3 (seed 7) failed: SettleError: no rest"), "bin 3 (seed 7) failed: SettleError: no rest"),
-        (BrokenProcessPool("terminated abruptly"), "a worker was killed"),
+        (BinError("a worker was killed"), "a worker was killed"),
     ],
 )
 def test_a_bin_that_fails_is_one_line_and_exit_code_2(
@@ -99,7 +99,7 @@ def test_a_bin_that_fails_is_one_line_and_exit_code_2(
 ) -> None:
     pick = load("pick.py")
 
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise fault
 
     monkeypatch.setattr(pick, "run_job", fail)
@@ -113,7 +113,7 @@ def test_a_pile_that_does_not_settle_is_one_line_in_every_script(
 ) -> None:
     picture, bench = load("picture.py"), load("bench.py")
 
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise SettleError("25 parts do not come to rest")
 
     monkeypatch.setattr(picture, "portrait", fail)
@@ -135,6 +135,7 @@ def test_pick_runs_resumes_and_refuses_another_configuration(tmp_path: Path) -> 
     made = (out / "bin_0000.json").stat().st_mtime_ns
     done = run("pick.py", "--bins", "2", "--workers", "2", "--json", str(tmp_path / "n.json"), *common, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+    assert "1 of 2 bins were there already, made by commit" in done.stdout
     numbers = json.loads((tmp_path / "n.json").read_text())
     assert numbers["bins"] == 2
     assert numbers["parts_total"] == 4
@@ -142,6 +143,37 @@ def test_pick_runs_resumes_and_refuses_another_configuration(tmp_path: Path) -> 
     done = run("pick.py", "--bins", "2", "--seed", "1", *common, cwd=tmp_path)
     assert done.returncode == 2
     assert "--out" in done.stderr
+
+
+def test_a_file_is_said_as_it_was_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pick = load("pick.py")
+    trimesh.creation.box((60, 40, 30)).export(tmp_path / "block.stl")
+
+    def stop(*_: object, **__: object) -> None:
+        raise BinError("far enough")
+
+    monkeypatch.setattr(pick, "run_job", stop)
+    file = ["--part", str(tmp_path / "block.stl"), "--out", str(tmp_path / "out")]
+    for arguments, said in (
+        ([], "block.stl: read as mm, d_max 78 mm, symmetry order 4, 2700 kg/m^3"),
+        (["--symmetry", "none", "--density", "1240"], "block.stl: read as mm, d_max 78 mm, symmetry order 1, 1240 kg/"),
+    ):
+        assert pick.main(pick.tyro.cli(pick.Arguments, args=[*file, *arguments])) == 2
+        assert said in capsys.readouterr().out
+    assert pick.main(pick.tyro.cli(pick.Arguments, args=[*file, "--unit", "inch"])) == 2
+    assert "--unit" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_part_file_is_picked(tmp_path: Path) -> None:
+    trimesh.creation.box((0.05, 0.03, 0.02)).export(tmp_path / "block.stl")
+    arguments = ["--part", str(tmp_path / "block.stl"), "--unit", "m", "--bins", "1", "--density", "1000"]
+    done = run("pick.py", *arguments, *TINY, "--out", str(tmp_path / "out"), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "block.stl: read as m, d_max 62 mm, symmetry order 4, 1000 kg/m^3" in done.stdout
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["config"]["density"] == 1000.0
 
 
 @pytest.mark.slow

@@ -27,7 +27,8 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
         unit: Of its coordinates; None takes metres if ``d_max`` is then 0.01 to 0.25 m, else millimetres likewise.
 
     Returns:
-        The mesh, repaired where merging vertices, filling small holes and turning normals was enough.
+        The mesh, repaired where merging vertices, filling small holes and turning normals was enough;
+        its metadata's ``unit`` is the one that was read.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -35,14 +36,17 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
     """
     mesh = _parse(path)
     size = diameter(mesh.vertices)
-    scale = METRES[_checked(unit)] if unit is not None else _guessed_scale(path, size)
+    read_as = _checked(unit) if unit is not None else _guessed_unit(path, size)
+    scale = METRES[read_as]
     if not D_MAX[0] <= size * scale <= D_MAX[1]:
         raise ValueError(
             f"the largest diameter of {path} must be {D_MAX[0]} to {D_MAX[1]} m, got {size * scale:.4g} m "
-            f"({size:.4g} in the file's unit, taken as {scale:g} m); {_readings(size)}"
+            f"({size:.4g} in the file's unit, taken as {read_as}); "
+            f"--unit, in Python unit=, names another, {_readings(size)}"
         )
     mesh.apply_transform(np.diag([scale, scale, scale, 1.0]))
     _repair(mesh, path)
+    mesh.metadata["unit"] = read_as
     side = float(min(mesh.bounding_box_oriented.extents))
     if side > JAW:
         log.warning(
@@ -83,16 +87,16 @@ def _checked(unit: str) -> str:
     return unit
 
 
-def _guessed_scale(path: Path, size: float) -> float:
-    """Return metres per file unit: a file names none, and a part's size leaves little doubt."""
+def _guessed_unit(path: Path, size: float) -> str:
+    """Return the file's unit: a file names none, and a part's size leaves little doubt."""
     for unit in ("m", "mm"):
         if PLAUSIBLE[0] <= size * METRES[unit] <= PLAUSIBLE[1]:
             if unit == "mm":
                 log.info("%s is taken to be in millimetres: its largest diameter is %.4g", path, size)
-            return METRES[unit]
+            return unit
     raise ValueError(
         f"the unit of {path} is unclear: its largest diameter is {size:.4g}, and a part's should be {PLAUSIBLE[0]} to "
-        f"{PLAUSIBLE[1]} m; pass unit=, {_readings(size)}"
+        f"{PLAUSIBLE[1]} m; name the unit (--unit, in Python unit=), {_readings(size)}"
     )
 
 

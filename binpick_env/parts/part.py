@@ -31,6 +31,7 @@ class Part:
         mass: [kg].
         inertia: (3, 3) about ``model.centre`` in part axes [kg m^2].
         source: Catalogue name, or the file's absolute path.
+        unit: Of the file's coordinates, given or guessed; "m" for a catalogue part.
     """
 
     model: PartModel
@@ -39,6 +40,7 @@ class Part:
     mass: float
     inertia: Floats
     source: str
+    unit: str = "m"
 
 
 def load_part(
@@ -96,9 +98,10 @@ def _catalogue_part(name: str, symmetry: SymmetryChoice, density: float | None) 
 
 def _file_part(path: Path, unit: Unit | None, symmetry: SymmetryChoice, density: float) -> Part:
     mesh = read_mesh(path, unit)
+    unit_read = str(mesh.metadata["unit"])
     mesh.apply_translation(-mesh.center_mass)
     group = detect_symmetry(mesh) if symmetry == "detect" else symmetry
-    return _assemble(path.stem, mesh, convex_pieces(mesh), group, density, source=str(path.resolve()))
+    return _assemble(path.stem, mesh, convex_pieces(mesh), group, density, source=str(path.resolve()), unit=unit_read)
 
 
 def _assemble(
@@ -109,6 +112,7 @@ def _assemble(
     density: float,
     *,
     source: str,
+    unit: str = "m",
 ) -> Part:
     group = symmetry if isinstance(symmetry, Symmetry) else Symmetry()
     for shared in (mesh, *pieces):
@@ -120,4 +124,5 @@ def _assemble(
         mass=float(mesh.volume * density),
         inertia=np.asarray(mesh.moment_inertia, dtype=np.float64) * density,
         source=source,
+        unit=unit,
     )

@@ -3,14 +3,16 @@ import json
 import logging
 from pathlib import Path
 
+import cv2
 import pytest
 from fake_cell import FakeEnv, ScriptPicker, abstain, attempt, broken_cell, dice_cell
 
 from binpick_env.config import CameraConfig
-from policies.evaluation import BinError, Cell, EvaluationConfig, bin_seed, evaluate_bin
+from policies.evaluation import BinError, Cell, CellShelf, EvaluationConfig, bin_seed, evaluate_bin, scripted_cell
 from policies.jobs import FolderError, Job, run_job
 from policies.outcomes import Abstention, GraspOutcome, PickResult
 from policies.records import BinRecord, RecordError, load_record, record_path, save_record
+from policies.tables import found_note
 
 CONFIG = EvaluationConfig(num_parts=(6, 6))
 
@@ -57,7 +59,7 @@ def test_a_record_keeps_the_facts_of_each_decision() -> None:
         script = attempt(GraspOutcome.MISSED), abstain(Abstention.IK_INFEASIBLE), delivered, delivered
         return Cell(env, ScriptPicker(env, *script))  # type: ignore[arg-type]
 
-    record = evaluate_bin(CONFIG, 3, make_cell=make)
+    record = evaluate_bin(CONFIG, 3, shelf=CellShelf(make))
     assert [pick.outcome for pick in record.picks] == ["missed", None, "delivered", "delivered"]
     assert record.picks[1].abstention == "ik_infeasible"
     assert (record.picks[0].width, record.picks[0].opening, record.picks[0].score) == (0.03, 0.05, 0.7)
@@ -69,7 +71,7 @@ def test_a_record_keeps_the_facts_of_each_decision() -> None:
 
 
 def test_a_record_survives_its_file(tmp_path: Path) -> None:
-    record = evaluate_bin(CONFIG, 0, make_cell=dice_cell)
+    record = evaluate_bin(CONFIG, 0, shelf=CellShelf(dice_cell))
     assert load_record(save_record(record, tmp_path)) == record
     assert [path.name for path in tmp_path.iterdir()] == ["bin_0000.json"]  # no draft is left
 
@@ -78,19 +80,81 @@ def test_the_cell_is_closed_and_decisions_are_reported() -> None:
     env = FakeEnv(parts=1)
     seen: list[PickResult] = []
     made = Cell(env, ScriptPicker(env, attempt(GraspOutcome.DELIVERED)))  # type: ignore[arg-type]
-    evaluate_bin(CONFIG, 0, on_pick=seen.append, make_cell=lambda _: made)
+    with CellShelf(lambda _: made) as shelf:
+        evaluate_bin(CONFIG, 0, on_pick=seen.append, shelf=shelf)
+        assert not env.closed
     assert env.closed
     assert len(seen) == 1
 
 
 def test_a_crash_names_the_bin_and_its_seed() -> None:
     with pytest.raises(BinError, match=rf"bin 2 \(seed {bin_seed(0, 2)}\) failed: FloatingPointError: the physics"):
-        evaluate_bin(CONFIG, 2, make_cell=broken_cell)
+        evaluate_bin(CONFIG, 2, shelf=CellShelf(broken_cell))
 
 
 def test_a_crash_in_a_worker_names_the_bin_and_its_seed(tmp_path: Path) -> None:
     with pytest.raises(BinError, match=r"bin \d \(seed \d+\) failed: FloatingPointError"):
         run_job(CONFIG, Job(out=tmp_path, bins=2, workers=2, pictures=False), make_cell=broken_cell)
+
+
+# --- one cell for many bins ----------------------------------------------------------------------------------------
+
+
+def test_one_cell_serves_all_bins_and_is_closed(tmp_path: Path) -> None:
+    cells: list[Cell] = []
+
+    def make(config: EvaluationConfig) -> Cell:
+        cells.append(dice_cell(config))
+        return cells[-1]
+
+    records = run_job(CONFIG, Job(out=tmp_path, bins=3, pictures=False), make_cell=make)
+    (cell,) = cells
+    assert cell.env.closed  # type: ignore[attr-defined]
+    assert outcome_of(evaluate_bin(CONFIG, 2, shelf=CellShelf(dice_cell))) == outcome_of(records[2])
+
+
+def test_another_configuration_and_a_crash_get_another_cell() -> None:
+    made: list[int] = []
+    shelf = CellShelf(counted(made))
+    first = shelf.cell(CONFIG)
+    assert shelf.cell(CONFIG) is first
+    assert shelf.cell(dataclasses.replace(CONFIG, seed=1)) is not first
+    assert first.env.closed  # type: ignore[attr-defined]
+
+    def crash(result: PickResult) -> None:
+        raise FloatingPointError("one\ntwo")
+
+    with pytest.raises(BinError, match="FloatingPointError: one two"):
+        evaluate_bin(CONFIG, 0, on_pick=crash, shelf=shelf)
+    shelf.cell(CONFIG)
+    assert len(made) == 4
+
+
+@pytest.mark.slow
+def test_a_bin_alone_equals_the_same_bin_after_others() -> None:
+    config = EvaluationConfig(num_parts=(2, 3), camera=CameraConfig(width=320, height=240))
+
+    def facts(record: BinRecord) -> list[tuple[object, ...]]:
+        return [(p.outcome, p.abstention, p.part, p.width, p.score, p.t_motion, p.frame_id) for p in record.picks]
+
+    with CellShelf(scripted_cell) as shelf:
+        evaluate_bin(config, 0, shelf=shelf)
+        after = evaluate_bin(config, 1, shelf=shelf)
+    alone = evaluate_bin(config, 1)
+    assert facts(after) == facts(alone)
+    assert (after.delivered, after.clutter) == (alone.delivered, alone.clutter)
+
+
+def test_evaluation_computes_on_one_core_and_restores_the_threads(tmp_path: Path) -> None:
+    before, seen = cv2.getNumThreads(), []
+    cv2.setNumThreads(2)
+    try:
+        run_job(CONFIG, Job(out=tmp_path, bins=1, pictures=False), None, lambda _: seen.append(cv2.getNumThreads()),
+                dice_cell)  # fmt: skip
+        assert cv2.getNumThreads() == 2
+    finally:
+        cv2.setNumThreads(before)
+    assert set(seen) == {1}
 
 
 # --- resuming ------------------------------------------------------------------------------------------------------
@@ -102,6 +166,24 @@ def test_finished_bins_are_not_computed_again(tmp_path: Path) -> None:
     second = run_job(CONFIG, Job(out=tmp_path, bins=3, pictures=False), make_cell=counted(made))
     assert second[:2] == first
     assert len(made) == 1
+
+
+def test_what_was_found_is_told_and_fresh_computes_it_again(tmp_path: Path) -> None:
+    run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
+    told: list[int] = []
+    job = Job(out=tmp_path, bins=3, pictures=False)
+    run_job(CONFIG, job, make_cell=dice_cell, on_found=lambda found: told.append(len(found)))
+    assert told == [2]
+    made: list[int] = []
+    fresh = dataclasses.replace(job, fresh=True)
+    run_job(CONFIG, fresh, make_cell=counted(made), on_found=lambda found: told.append(len(found)))
+    assert (told, made) == ([2], [1])
+
+
+def test_the_note_warns_of_other_code() -> None:
+    record = dataclasses.replace(evaluate_bin(CONFIG, 0, shelf=CellShelf(dice_cell)), git_commit="aaa")
+    assert found_note([record], 3, "aaa") == "1 of 3 bins were there already, made by commit aaa"
+    assert "\nWARNING  this code is commit bbb: --fresh computes" in found_note([record], 3, "bbb")
 
 
 @pytest.mark.parametrize("damage", ["", "{", '{"version": 1}', '{"version": 0}', "[]", "cut"])
@@ -117,7 +199,7 @@ def test_a_damaged_record_is_computed_again(tmp_path: Path, damage: str, caplog:
 
 
 def test_a_record_with_an_unknown_word_is_refused(tmp_path: Path) -> None:
-    path = save_record(evaluate_bin(CONFIG, 0, make_cell=dice_cell), tmp_path)
+    path = save_record(evaluate_bin(CONFIG, 0, shelf=CellShelf(dice_cell)), tmp_path)
     values = json.loads(path.read_text())
     values["picks"][0]["outcome"] = "vanished"
     path.write_text(json.dumps(values))
@@ -146,16 +228,15 @@ def test_a_damaged_note_of_the_configuration_is_written_anew(tmp_path: Path) -> 
 
 
 def test_an_interrupt_loses_no_finished_bin(tmp_path: Path) -> None:
-    made: list[int] = []
+    done: list[BinRecord] = []
 
-    def interrupted(config: EvaluationConfig) -> Cell:
-        if len(made) == 2:
+    def interrupted(record: BinRecord) -> None:
+        done.append(record)
+        if len(done) == 2:
             raise KeyboardInterrupt
-        made.append(1)
-        return dice_cell(config)
 
     with pytest.raises(KeyboardInterrupt):
-        run_job(CONFIG, Job(out=tmp_path, bins=5, pictures=False), make_cell=interrupted)
+        run_job(CONFIG, Job(out=tmp_path, bins=5, pictures=False), on_bin=interrupted, make_cell=dice_cell)
     assert sorted(path.name for path in tmp_path.glob("bin_*.json")) == ["bin_0000.json", "bin_0001.json"]
 
 
@@ -174,6 +255,9 @@ def test_an_interrupt_stops_the_workers(tmp_path: Path) -> None:
 def test_the_digest_sees_every_setting() -> None:
     changes = {
         "part": "part_a",
+        "unit": "mm",
+        "symmetry": "none",
+        "density": 900.0,
         "seed": 1,
         "sensor": "none",
         "num_parts": (6, 7),

@@ -64,6 +64,19 @@ def test_every_cause_is_counted_the_absent_ones_too(records: list[BinRecord]) ->
     assert summary.termination == {"empty": 0, "2F": 0, "abstained": 2, "time": 0}
 
 
+def test_intervals_over_bins_resample_whole_bins(records: list[BinRecord]) -> None:
+    twins = sum_up([record(k, attempt(DELIVERED), attempt(MISSED)) for k in range(5)])
+    assert twins.intervals["gsr_bins"] == (0.5, 0.5)  # every bin alike: bins carry no doubt, however few attempts
+    assert twins.intervals["dr_bins"] == pytest.approx((0.1, 0.1))
+    apart = sum_up([record(k, *[attempt(DELIVERED if k % 2 else MISSED)] * 10) for k in range(10)])
+    over_bins, wilson = apart.intervals["gsr_bins"], apart.intervals["gsr"]
+    assert over_bins is not None
+    assert wilson is not None
+    assert over_bins[1] - over_bins[0] > 2 * (wilson[1] - wilson[0])  # 10 independent bins, not 100 attempts
+    assert sum_up(records[:1]).intervals["gsr_bins"] is None
+    assert "resampling whole bins: GSR 50.0 to 50.0 %, DR 10.0 to 10.0 %" in result_table(twins)
+
+
 def test_lost_parts_are_added_up_and_told_from_those_left(records: list[BinRecord]) -> None:
     summary = sum_up([*records, record(2, attempt(GraspOutcome.DOUBLE), lost=2)])
     assert summary.lost == 2

@@ -75,5 +75,5 @@ def test_what_cannot_be_filmed_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
         raise ImportError(name)
 
     monkeypatch.setattr("policies.video.importlib.import_module", missing)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install 'binpick\[report\]'"):
+    with pytest.raises(ModuleNotFoundError, match=r"\.venv/bin/python -m pip install -e '\.\[report\]'"):
         check_video(tmp_path / "film.mp4")

@@ -1,0 +1,31 @@
+"""One core means one core: what is timed here is meant to be compared."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import cv2
+
+_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Compute on one thread in here, and in processes started in here; afterwards all is as before.
+
+    OpenCV is told so at once; BLAS and OpenMP read their variables when they are loaded, so those reach new processes
+    only. The compiled kernels are not parallel, and MuJoCo steps on one thread.
+    """
+    kept = {name: os.environ.get(name) for name in _VARIABLES}
+    threads = cv2.getNumThreads()
+    os.environ.update(dict.fromkeys(_VARIABLES, "1"))
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+        for name, value in kept.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
