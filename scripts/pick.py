@@ -84,7 +84,7 @@ def main(args: Arguments) -> int:
         if args.video is not None:
             check_video(args.video)
         part = config.check()
-        if part.source != config.part:  # a file
+        if Path(part.source).suffix:  # a file, not a name of the catalogue
             print(part_note(part))
         records = _run(config, job)
     except KeyboardInterrupt:

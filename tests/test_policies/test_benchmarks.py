@@ -1,4 +1,5 @@
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ def test_rows_survive_their_file_with_where_they_come_from(tmp_path: Path) -> No
     save_benchmark(tmp_path / "b.json", "cell", rows)
     assert load_benchmark(tmp_path / "b.json") == rows
     values = json.loads((tmp_path / "b.json").read_text())
+    assert values["machine"].endswith(f", {os.cpu_count()} cores")
     assert {"benchmark", "machine", "commit", "command", "versions"} <= set(values)
 
 
