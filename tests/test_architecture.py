@@ -81,3 +81,8 @@ def test_constraints_pin_every_dependency_exactly() -> None:
         *(name for extra in project["optional-dependencies"].values() for name in extra),
     ]
     assert {re.split(r"[><=!]", name)[0].lower().replace("_", "-") for name in wanted} <= pinned
+
+
+@pytest.mark.parametrize("name", ["README.md", "BENCHMARK.md", "CHANGELOG.md"])
+def test_no_figure_is_left_open(name: str) -> None:
+    assert "TODO" not in (ROOT / name).read_text()
