@@ -18,7 +18,7 @@ def test_the_standard_bin_is_cluttered(part: str) -> None:
     fractions = []
     for seed in range(BINS):
         env.reset(seed=seed)
-        fractions.append(env.view.visible_fractions[env.simulation.in_play])
+        fractions.append(env.exposure.visible_fractions[env.simulation.in_play])
     env.close()
     seen = np.concatenate(fractions)
     assert len(seen) >= 20 * BINS
