@@ -59,7 +59,7 @@ class CameraConfig:
     height: int = 960  # [px]
     focal: float = 2400.0  # [px] at 1280 wide; scaled with `width`
     distance: float = 0.9  # from the bin's floor [m]
-    backend: Backend = "raster"  # the same picture as "rays", mj_multiRay's reference, 20 times faster; "egl" needs GL
+    backend: Backend = "raster"  # the same picture as "rays", mj_multiRay's reference, ten times faster; "egl" needs GL
 
     def __post_init__(self) -> None:
         size = f"{self.width} x {self.height}"
