@@ -123,16 +123,22 @@ def clear_of_solid(
 
 
 @njit(cache=True)
+def _raise_cell(heights: Floats, origin: Floats, cell: float, T: Floats, px: float, py: float, pz: float) -> None:
+    """Raise the cell of (X, Y) ``heights`` under a point that a (4, 4) transform maps into the bin frame, in place."""
+    i = int(np.floor((T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3] - origin[0]) / cell))
+    j = int(np.floor((T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3] - origin[1]) / cell))
+    z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+    if 0 <= i < heights.shape[0] and 0 <= j < heights.shape[1] and z > heights[i, j]:
+        heights[i, j] = z
+
+
+@njit(cache=True)
 def raise_cells(heights: Floats, origin: Floats, cell: float, points: Floats, T_bin_points: Floats) -> None:
     """Raise (X, Y) ``heights`` to the z of (N, 3) points mapped by a (4, 4) transform, in place."""
     T = T_bin_points
     for n in range(len(points)):
         px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-        i = int(np.floor((T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3] - origin[0]) / cell))
-        j = int(np.floor((T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3] - origin[1]) / cell))
-        z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-        if 0 <= i < heights.shape[0] and 0 <= j < heights.shape[1] and z > heights[i, j]:
-            heights[i, j] = z
+        _raise_cell(heights, origin, cell, T, px, py, pz)
 
 
 @njit(cache=True)
@@ -154,11 +160,7 @@ def raise_cells_from_depth(
             if not pz > 0.0:
                 continue
             px, py = pz * (u - K[0, 2]) / K[0, 0], pz * ray_y
-            i = int(np.floor((T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3] - origin[0]) / cell))
-            j = int(np.floor((T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3] - origin[1]) / cell))
-            z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-            if 0 <= i < heights.shape[0] and 0 <= j < heights.shape[1] and z > heights[i, j]:
-                heights[i, j] = z
+            _raise_cell(heights, origin, cell, T, px, py, pz)
 
 
 @njit(cache=True)
