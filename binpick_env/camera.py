@@ -13,8 +13,8 @@ from binpick_env.raster import Rasteriser
 from binpick_env.rays import RayCaster
 from binpick_env.sensor import SensorModel, sensor_model
 from binpick_env.shading import Light
-from binpick_env.view import Hits, View, bin_region, geoms_in_camera, visible_geoms
-from perception.frame import Frame, Workspace
+from binpick_env.view import Hits, View, geoms_in_camera, visible_geoms
+from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import Floats, camera_matrix, make_transform, require_shape
 
 MARGIN = 0.03  # beside the bin's inner box: its walls and a little of the table [m]

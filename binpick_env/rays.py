@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env import _kernels
-from binpick_env.view import NEAR, VISIBLE, Hits, View, visible_geoms
+from binpick_env.view import VISIBLE, Hits, View, visible_geoms
+from perception.frame import NEAR
 from perception.geometry import Floats, project_points
 
 CHUNK = 16384  # rays in one call of MuJoCo; small enough that two threads finish together

@@ -6,11 +6,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.frame import Workspace
-from perception.geometry import Floats, invert_transform, project_points, transform_points
+from perception.geometry import Floats, invert_transform, transform_points
 
 VISIBLE = 2  # the geom group that cameras see
-NEAR = 1e-3  # [m]; nothing nearer to the camera is seen
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,32 +76,3 @@ def geoms_in_camera(
         raise ValueError(f"the pose of body {body!r} is not finite; the simulation has diverged")
     T_cam_world = invert_transform(T_world_cam)
     return T_cam_world[:3, :3] @ rotations_world, transform_points(T_cam_world, data.geom_xpos)
-
-
-def bin_region(
-    workspace: Workspace, K: Floats, T_world_cam: Floats, size: tuple[int, int], *, margin: float, headroom: float
-) -> NDArray[np.int64]:
-    """Return the rectangle (4,) ``u0, v0, u1, v1`` of pixels that show the bin with its walls; empty if out of view.
-
-    Args:
-        workspace: The bin.
-        K: (3, 3) pinhole matrix.
-        T_world_cam: (4, 4).
-        size: Width and height of the image [px].
-        margin: Added beside the inner box, for the walls [m].
-        headroom: Added above the rim, for a heaped pile [m].
-    """
-    half = workspace.inner_size[:2] / 2 + margin
-    top = workspace.inner_size[2] + headroom
-    corners_bin = np.array([[x, y, z] for x in (-half[0], half[0]) for y in (-half[1], half[1]) for z in (0.0, top)])
-    T_cam_bin = invert_transform(T_world_cam) @ workspace.T_world_bin
-    corners_cam = transform_points(T_cam_bin, corners_bin)
-    behind = corners_cam[:, 2] <= NEAR
-    if behind.all():
-        return np.zeros(4, np.int64)
-    if behind.any():
-        return np.array([0, 0, *size], np.int64)
-    pixels = project_points(K, corners_cam)
-    low = np.clip(np.floor(pixels.min(axis=0)), 0, size)
-    high = np.clip(np.ceil(pixels.max(axis=0)) + 1, low, size)
-    return np.array([*low, *high], np.int64)

@@ -15,7 +15,7 @@ from binpick_env.env import BinPickEnv
 from binpick_env.settle import drop_and_settle
 from policies.benchmarks import Measurement, repeat, seconds
 from policies.scripted import ScriptedPicker
-from policies.threads import one_core
+from perception.threads import one_core
 
 _log = logging.getLogger(__name__)
 MAX_PILES = 20  # until the attempts must have come together

@@ -18,7 +18,7 @@ from binpick_env.perceiver import Perception, PoseNoise, make_perceiver
 from policies.episode import Picker, run_bin
 from policies.outcomes import PickResult
 from policies.pictures import Album
-from policies.provenance import git_commit
+from perception.provenance import git_commit
 from policies.records import BinRecord
 from policies.scripted import PickerSettings, ScriptedPicker
 from policies.video import Film, WatchedEnv
@@ -130,7 +130,7 @@ def bin_seed(seed: int, index: int) -> int:
 
 
 def scripted_cell(config: EvaluationConfig) -> Cell:
-    """Build the cell with the scripted picker; the camera casts on one thread, see `policies.threads`."""
+    """Build the cell with the scripted picker; the camera casts on one thread, see `perception.threads`."""
     env = WatchedEnv(
         part=config.load_part(),
         num_parts=config.num_parts,

@@ -26,8 +26,9 @@ from policies.evaluation import (
     scripted_cell,
 )
 from policies.outcomes import PickResult
-from policies.records import BinRecord, RecordError, json_text, load_record, record_path, save_record, write_atomically
-from policies.threads import one_core
+from perception.files import json_text, write_atomically
+from policies.records import BinRecord, RecordError, load_record, record_path, save_record
+from perception.threads import one_core
 
 _log = logging.getLogger(__name__)
 CONFIG_FILE = "config.json"

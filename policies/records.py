@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from binpick_env.clutter import ClutterStats
+from perception.files import json_text, write_atomically
 from policies.episode import BinResult, Termination
 from policies.outcomes import Abstention, GraspOutcome, PickResult
 
@@ -175,24 +176,3 @@ def _pick(values: dict[str, Any]) -> PickRecord:
     values["outcome"] = None if outcome is None else GraspOutcome(outcome)
     values["abstention"] = None if abstention is None else Abstention(abstention)
     return PickRecord(**values)
-
-
-def json_text(values: Any) -> str:
-    """Return ``values`` as JSON; NaN, which JSON does not know, becomes null."""
-    return json.dumps(_without_nan(values), indent=1, allow_nan=False)
-
-
-def _without_nan(values: Any) -> Any:
-    if isinstance(values, dict):
-        return {key: _without_nan(value) for key, value in values.items()}
-    if isinstance(values, list | tuple):
-        return [_without_nan(value) for value in values]
-    return None if isinstance(values, float) and np.isnan(values) else values
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` so that no reader, and no crash, ever meets half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_text(text)
-    draft.replace(path)

@@ -5,7 +5,8 @@ from html import escape
 from pathlib import Path
 
 from policies.outcomes import GraspOutcome
-from policies.records import BinRecord, PickRecord, write_atomically
+from perception.files import write_atomically
+from policies.records import BinRecord, PickRecord
 from policies.report_style import bars, figure, page, table, tag, tile
 from policies.statistics import Rate
 from policies.summary import Summary

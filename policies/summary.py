@@ -11,8 +11,9 @@ import numpy as np
 from policies.episode import Termination
 from policies.evaluation import EvaluationConfig
 from policies.outcomes import Abstention, GraspOutcome
-from policies.provenance import command_line, versions
-from policies.records import BinRecord, json_text, write_atomically
+from perception.provenance import command_line, versions
+from perception.files import json_text, write_atomically
+from policies.records import BinRecord
 from policies.statistics import Rate, bootstrap_ratio, rate
 
 Interval = tuple[float, float]

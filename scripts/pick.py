@@ -17,7 +17,7 @@ from binpick_env.perceiver import Perception, PoseNoise
 from policies.evaluation import BinError, EvaluationConfig
 from policies.jobs import Job, run_job
 from policies.outcomes import PickResult
-from policies.provenance import git_commit
+from perception.provenance import git_commit
 from policies.records import BinRecord
 from policies.report import write_report
 from policies.summary import save_summary, summarise

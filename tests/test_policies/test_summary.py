@@ -7,7 +7,8 @@ from fake_cell import abstain, attempt, bin_result
 
 from policies.evaluation import EvaluationConfig
 from policies.outcomes import Abstention, GraspOutcome, PickResult
-from policies.records import BinRecord, json_text
+from perception.files import json_text
+from policies.records import BinRecord
 from policies.statistics import wilson_interval
 from policies.summary import Summary, summarise
 from policies.tables import columns, result_table

@@ -1,0 +1,1 @@
+"""How good segments and poses are."""

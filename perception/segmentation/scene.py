@@ -1,0 +1,134 @@
+"""A labelled boundary scene, and its file."""
+
+import zipfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.boundary import BoundaryCloud
+from perception.files import replace_atomically
+from perception.geometry import Floats, require_shape
+from perception.segmentation.surface import Surface
+
+SCENE_VERSION = 1  # raise it when a field changes its meaning
+SURFACE_UNIT = 2e-5  # of the surface's depth in the file [m]; reaches to 1.3 m
+
+
+class SceneError(ValueError):
+    """A file does not hold a whole scene of this version."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoundaryScene:
+    """The boundary points of one bin of identical parts, and the truth about them.
+
+    Attributes:
+        part: Name of the part.
+        d_max: The part's largest extent [m].
+        boundary: What the camera saw.
+        surface: The organised cloud in coarse cells, seen from the same camera.
+        K: (3, 3) of the camera [px].
+        instance_ids: (N,) int64 part that each boundary point lies on, -1 for the container.
+        T_cam_parts: (P, 4, 4) true poses, part i carrying id i.
+        centres_cam: (P, 3) true part centres [m].
+        visible_fractions: (P,) in [0, 1].
+    """
+
+    part: str
+    d_max: float
+    boundary: BoundaryCloud
+    surface: Surface
+    K: Floats
+    instance_ids: NDArray[np.int64]
+    T_cam_parts: Floats
+    centres_cam: Floats
+    visible_fractions: Floats
+
+    def __post_init__(self) -> None:
+        require_shape("instance_ids", self.instance_ids, (len(self.boundary),))
+        parts = len(self.T_cam_parts)
+        require_shape("T_cam_parts", self.T_cam_parts, (parts, 4, 4))
+        require_shape("centres_cam", self.centres_cam, (parts, 3))
+        require_shape("visible_fractions", self.visible_fractions, (parts,))
+        if self.instance_ids.max(initial=-1) >= parts:
+            raise ValueError(f"instance_ids go up to {self.instance_ids.max()}, but there are {parts} parts")
+        if not self.d_max > 0:
+            raise ValueError(f"d_max must be positive, got {self.d_max}")
+
+    def save(self, path: Path) -> None:
+        """Write a compressed file in one piece, or not at all.
+
+        Note: points are stored as pixel and float32 depth, tangents and linearity in 8 bits, the surface in 20 um steps.
+        """
+        b, s = self.boundary, self.surface
+        arrays = {
+            "version": np.int64(SCENE_VERSION),
+            "part": np.str_(self.part),
+            "d_max": np.float64(self.d_max),
+            "pixels": b.pixels.astype(np.int16),
+            "depth": b.points_cam[:, 2].astype(np.float32),
+            "tangents": np.round(b.tangents_cam * 127).astype(np.int8),
+            "linearity": np.round(b.linearity * 255).astype(np.uint8),
+            "surface": np.round(np.clip(s.depth / SURFACE_UNIT, 0, 65535)).astype(np.uint16),
+            "surface_frame": np.array([s.u0, s.v0, s.cell], np.float64),
+            "K": self.K,
+            "instance_ids": self.instance_ids.astype(np.int16),
+            "T_cam_parts": self.T_cam_parts,
+            "centres_cam": self.centres_cam,
+            "visible_fractions": self.visible_fractions,
+        }
+
+        def write(draft: Path) -> None:
+            with draft.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **arrays)
+
+        replace_atomically(path, write)
+
+    @classmethod
+    def load(cls, path: Path) -> "BoundaryScene":
+        """Read a scene.
+
+        Raises:
+            SceneError: The file is missing, cut off or of another version.
+        """
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+                a = {name: stored[name] for name in stored.files}
+            if int(a["version"]) != SCENE_VERSION:
+                raise SceneError(f"{path} is a scene of version {a['version']}, this code reads {SCENE_VERSION}")
+            tangents = a["tangents"] / 127.0
+            lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
+            u0, v0, cell = a["surface_frame"]
+            K, depth, pixels = a["K"], a["depth"].astype(np.float64), a["pixels"].astype(np.int64)
+            rays = np.column_stack([(pixels - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones(len(pixels))])
+            return cls(
+                part=str(a["part"]),
+                d_max=float(a["d_max"]),
+                boundary=BoundaryCloud(
+                    points_cam=rays * depth[:, None],
+                    tangents_cam=np.divide(tangents, lengths, out=np.zeros_like(tangents), where=lengths > 0),
+                    linearity=a["linearity"] / 255.0,
+                    pixels=pixels,
+                ),
+                surface=Surface(depth=a["surface"] * np.float32(SURFACE_UNIT), u0=float(u0), v0=float(v0), cell=float(cell)),
+                K=K,
+                instance_ids=a["instance_ids"].astype(np.int64),
+                T_cam_parts=a["T_cam_parts"],
+                centres_cam=a["centres_cam"],
+                visible_fractions=a["visible_fractions"],
+            )
+        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise SceneError(f"{path} holds no whole scene ({error})") from error
+
+    def only(self, mask: NDArray[np.bool_]) -> "BoundaryScene":
+        """Return the scene with the boundary points of (N,) ``mask`` alone."""
+        b = self.boundary
+        points = BoundaryCloud(
+            points_cam=b.points_cam[mask],
+            tangents_cam=b.tangents_cam[mask],
+            linearity=b.linearity[mask],
+            pixels=b.pixels[mask],
+        )
+        return replace(self, boundary=points, instance_ids=self.instance_ids[mask])

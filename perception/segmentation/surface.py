@@ -1,0 +1,64 @@
+"""The organised cloud in coarse cells: what lies between the boundary points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perception import _kernels
+from perception.frame import Frame, Workspace, bin_region
+from perception.geometry import require_shape
+
+CELLS_PER_D_MAX = 80  # fine enough for the network's cells, twice as large, to be sampled from at any turn
+STEP = 0.003  # depths of one cell that differ by less are one surface [m]
+HEADROOM = 0.03  # of a heaped pile over the rim [m]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Surface:
+    """Depth of the nearest surface in square cells of the image.
+
+    Attributes:
+        depth: (h, w) float32 [m], 0 where nothing was measured.
+        u0: Pixel column of the left border of the first cell.
+        v0: Pixel row of its upper border.
+        cell: Side of a cell [px].
+    """
+
+    depth: NDArray[np.float32]
+    u0: float
+    v0: float
+    cell: float
+
+    def __post_init__(self) -> None:
+        require_shape("depth", self.depth, (None, None))
+        if not self.cell > 0:
+            raise ValueError(f"cell must be positive, got {self.cell}")
+
+
+def coarse_surface(frame: Frame, workspace: Workspace, d_max: float) -> Surface:
+    """Return the nearest surface over the bin's part of the image, in cells of about ``d_max / 80``.
+
+    Args:
+        frame: One exposure.
+        workspace: The bin.
+        d_max: The part's largest extent [m].
+
+    Raises:
+        ValueError: ``d_max`` is not positive, or so small that a cell would be under half a pixel.
+    """
+    if not d_max > 0:
+        raise ValueError(f"d_max must be positive, got {d_max}")
+    size = (frame.depth.shape[1], frame.depth.shape[0])
+    u0, v0, u1, v1 = bin_region(workspace, frame.K, frame.T_world_cam, size, margin=0.0, headroom=HEADROOM).tolist()
+    floor = workspace.T_world_bin[:3, 3]
+    distance = float(np.linalg.norm(floor - frame.T_world_cam[:3, 3]))
+    cell = d_max / CELLS_PER_D_MAX * frame.K[0, 0] / distance
+    if cell < 0.5:
+        raise ValueError(
+            f"a part of d_max {1000 * d_max:.1f} mm is {cell * CELLS_PER_D_MAX:.0f} px long at the bin's floor; "
+            f"at least {CELLS_PER_D_MAX // 2} px are needed (is its model in metres?)"
+        )
+    shape = (int(np.ceil((v1 - v0) / cell)), int(np.ceil((u1 - u0) / cell)))
+    depth = _kernels.nearest_surface(frame.depth, u0, v0, cell, shape, STEP)
+    return Surface(depth=depth, u0=float(u0), v0=float(v0), cell=cell)
