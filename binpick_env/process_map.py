@@ -35,8 +35,11 @@ def map_indices(
         initargs: Its arguments.
 
     Raises:
+        ValueError: ``workers`` is not positive.
         WorkerError: A process was killed; what was yielded stays.
     """
+    if workers < 1:
+        raise ValueError(f"workers must be at least 1, got {workers}")
     if workers < 2 or len(indices) < 2:
         for index in indices:
             with one_core():

@@ -1,26 +1,28 @@
 """Labelled boundary scenes: a pile dropped, seen by a camera whose place, light and noise vary, and its truth kept."""
 
+import hashlib
 import json
 import logging
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from binpick_env.camera import Capture, DepthCamera, default_pose
 from binpick_env.clutter import visible_fractions
 from binpick_env.config import CameraConfig, CellConfig, SensorPreset
-from binpick_env.parts import Part, Unit, load_part
+from binpick_env.parts import CATALOGUE, Part, Unit, load_part
 from binpick_env.process_map import map_indices
+from binpick_env.sensor import PRESETS
 from binpick_env.settle import drop_and_settle
 from binpick_env.shading import Light
 from binpick_env.simulation import Simulation
 from perception.boundary import extract_boundary
 from perception.files import json_text, write_atomically
-from perception.geometry import Floats, invert_transform, make_transform, rotation_about, transform_points
+from perception.geometry import Floats, invert_transform, make_transform, rotation_about
 from perception.segmentation.scene import BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
 
@@ -58,6 +60,8 @@ class SceneConfig:
             raise ValueError(f"num_parts must be (smallest, largest) from 0 up, got {self.num_parts}")
         if self.seed < 0:
             raise ValueError(f"seed must not be negative, got {self.seed}")
+        if self.sensor not in (*PRESETS, "mixed"):
+            raise ValueError(f"sensor must be one of {', '.join(PRESETS)}, mixed, got {self.sensor!r}")
 
 
 class LabelledCapture(NamedTuple):
@@ -156,12 +160,16 @@ def scene_path(folder: Path, index: int) -> Path:
 
 
 def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int = 1) -> Iterator[int]:
-    """Write scenes 0 to ``count - 1``; those that lie there already are not made again. Yields each index as it is there.
+    """Write scenes 0 to ``count - 1`` and yield each index as it is there; whole ones are not made again.
 
     Raises:
-        ValueError: The folder holds scenes of another configuration.
+        ValueError: The folder holds scenes of another configuration, there is no such part, or nothing is asked for.
+        FileNotFoundError: The part's file does not exist.
         WorkerError: A process was killed; every finished scene is kept.
     """
+    if count < 1 or workers < 1:
+        raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
+    load_part(config.part, unit=config.unit)  # a part that cannot be loaded must not claim the folder
     claim_folder(config, folder)
     missing = []
     for index in range(count):
@@ -173,21 +181,34 @@ def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int 
 
 
 def claim_folder(config: SceneConfig, folder: Path) -> None:
-    """Note the configuration in the folder, or compare with the one that is noted there."""
+    """Note the configuration in the folder, or compare with the one that is noted there.
+
+    Raises:
+        ValueError: Another one is noted, which the text tells apart from this; or the note cannot be read.
+    """
     note = folder / CONFIG_FILE
-    mine = json.loads(json_text(asdict(config)))
+    mine = _note(config)
     if not note.exists():
         write_atomically(note, json_text(mine))
         return
     try:
         theirs = json.loads(note.read_text())
-    except ValueError:
-        theirs = None
-    if theirs != mine:
+        names = sorted(name for name in {*mine, *theirs} if mine.get(name) != theirs.get(name))
+    except (ValueError, TypeError, AttributeError) as error:
+        raise ValueError(f"{note} is damaged; choose another folder with --out, or delete this one") from error
+    if names:
+        different = ", ".join(f"{name}: {theirs.get(name)} there, {mine.get(name)} here" for name in names)
         raise ValueError(
-            f"{folder} holds scenes of another configuration ({note.name}: {theirs}, asked for: {mine}); "
+            f"{folder} holds scenes of another configuration ({different}); "
             "choose another folder with --out, or delete this one"
         )
+
+
+def _note(config: SceneConfig) -> dict[str, Any]:
+    values: dict[str, Any] = json.loads(json_text(asdict(config)))
+    if config.part not in CATALOGUE:
+        values["file"] = hashlib.sha256(Path(config.part).read_bytes()).hexdigest()
+    return values
 
 
 def _is_whole(path: Path) -> bool:

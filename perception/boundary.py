@@ -88,7 +88,7 @@ def extract_boundary(frame: Frame, workspace: Workspace, settings: BoundarySetti
     ).tolist()
     if u1 - u0 < 3 or v1 - v0 < 3:
         return _cloud(frame, np.zeros((0, 2), np.int64), settings)
-    edges = _edge_pixels(frame.grey[v0:v1, u0:u1], settings) + (u0, v0)
+    edges = _edge_pixels(frame.grey[v0:v1, u0:u1], settings) + np.array([u0, v0])
     sources = _kernels.foreground_pixels(edges, frame.depth, settings.radius, settings.widest, settings.step)
     sources = sources[sources[:, 0] >= 0]
     flat = np.unique(sources[:, 1] * size[0] + sources[:, 0])

@@ -13,9 +13,9 @@ from binpick_env.camera import DepthCamera
 from binpick_env.config import CONTROL_PERIOD, Backend
 from binpick_env.env import BinPickEnv
 from binpick_env.settle import drop_and_settle
+from perception.threads import one_core
 from policies.benchmarks import Measurement, repeat, seconds
 from policies.scripted import ScriptedPicker
-from perception.threads import one_core
 
 _log = logging.getLogger(__name__)
 MAX_PILES = 20  # until the attempts must have come together

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from perception.provenance import command_line, git_commit, machine, versions
 from perception.files import json_text, write_atomically
+from perception.provenance import command_line, git_commit, machine, versions
 from policies.tables import columns
 
 

@@ -15,10 +15,10 @@ from binpick_env.config import CameraConfig, SensorPreset
 from binpick_env.env import BinPickEnv
 from binpick_env.parts import Part, Unit, load_part
 from binpick_env.perceiver import Perception, PoseNoise, make_perceiver
+from perception.provenance import git_commit
 from policies.episode import Picker, run_bin
 from policies.outcomes import PickResult
 from policies.pictures import Album
-from perception.provenance import git_commit
 from policies.records import BinRecord
 from policies.scripted import PickerSettings, ScriptedPicker
 from policies.video import Film, WatchedEnv

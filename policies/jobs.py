@@ -5,16 +5,14 @@ Today the processes are this machine's; another scheduler would map :func:`evalu
 
 import json
 import logging
-import multiprocessing
-import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
-import cv2
-
+from binpick_env.process_map import WorkerError, map_indices
+from perception.files import json_text, write_atomically
+from perception.threads import one_core
 from policies.evaluation import (
     BinError,
     CellMaker,
@@ -26,9 +24,7 @@ from policies.evaluation import (
     scripted_cell,
 )
 from policies.outcomes import PickResult
-from perception.files import json_text, write_atomically
 from policies.records import BinRecord, RecordError, load_record, record_path, save_record
-from perception.threads import one_core
 
 _log = logging.getLogger(__name__)
 CONFIG_FILE = "config.json"
@@ -176,26 +172,10 @@ def _here(
 
 
 def _in_processes(config: EvaluationConfig, job: Job, missing: list[int], make_cell: CellMaker) -> Iterator[BinRecord]:
-    before = set(multiprocessing.active_children())
-    with one_core():
-        executor = ProcessPoolExecutor(
-            min(job.workers, len(missing)),
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=_start_worker,
-            initargs=(make_cell,),
-        )
-        try:
-            futures = [executor.submit(_work, config, job, index) for index in missing]
-            for future in as_completed(futures):
-                yield future.result()
-        except BrokenProcessPool as error:
-            raise BinError("a worker was killed, perhaps for want of memory; try fewer workers") from error
-        except (KeyboardInterrupt, GeneratorExit):
-            for child in set(multiprocessing.active_children()) - before:
-                child.terminate()  # records are whole or absent: nothing but the bins under way is lost
-            raise
-        finally:
-            executor.shutdown(wait=True, cancel_futures=True)
+    try:
+        yield from map_indices(partial(_work, config, job), missing, job.workers, _start_worker, (make_cell,))
+    except WorkerError as error:
+        raise BinError(str(error)) from error
 
 
 def _work(config: EvaluationConfig, job: Job, index: int) -> BinRecord:
@@ -205,8 +185,6 @@ def _work(config: EvaluationConfig, job: Job, index: int) -> BinRecord:
 
 
 def _start_worker(make_cell: CellMaker) -> None:
-    """Leave Ctrl-C, which reaches every process of the terminal, to the parent; keep one cell, on one core."""
+    """Keep one cell for all bins of this process."""
     global _shelf
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
     _shelf = CellShelf(make_cell)

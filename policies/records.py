@@ -1,7 +1,6 @@
 """What is kept of every bin: plain numbers and words, written as JSON, one file a bin."""
 
 import json
-import os
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any

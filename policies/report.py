@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from policies.outcomes import GraspOutcome
 from perception.files import write_atomically
+from policies.outcomes import GraspOutcome
 from policies.records import BinRecord, PickRecord
 from policies.report_style import bars, figure, page, table, tag, tile
 from policies.statistics import Rate

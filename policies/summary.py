@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from perception.files import json_text, write_atomically
+from perception.provenance import command_line, versions
 from policies.episode import Termination
 from policies.evaluation import EvaluationConfig
 from policies.outcomes import Abstention, GraspOutcome
-from perception.provenance import command_line, versions
-from perception.files import json_text, write_atomically
 from policies.records import BinRecord
 from policies.statistics import Rate, bootstrap_ratio, rate
 

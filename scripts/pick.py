@@ -14,10 +14,10 @@ from tqdm import tqdm
 from binpick_env.config import Backend, CameraConfig, SensorPreset
 from binpick_env.parts import Unit
 from binpick_env.perceiver import Perception, PoseNoise
+from perception.provenance import git_commit
 from policies.evaluation import BinError, EvaluationConfig
 from policies.jobs import Job, run_job
 from policies.outcomes import PickResult
-from perception.provenance import git_commit
 from policies.records import BinRecord
 from policies.report import write_report
 from policies.summary import save_summary, summarise

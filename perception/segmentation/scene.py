@@ -1,8 +1,8 @@
 """A labelled boundary scene, and its file."""
 
-import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from perception.geometry import Floats, require_shape
 from perception.segmentation.surface import Surface
 
 SCENE_VERSION = 1  # raise it when a field changes its meaning
-SURFACE_UNIT = 2e-5  # of the surface's depth in the file [m]; reaches to 1.3 m
+SURFACE_UNIT = 2e-5  # of the surface's depth in the file [m]
+FARTHEST = 65535 * SURFACE_UNIT  # that it can hold there [m]
 
 
 class SceneError(ValueError):
@@ -60,10 +61,16 @@ class BoundaryScene:
     def save(self, path: Path) -> None:
         """Write a compressed file in one piece, or not at all.
 
-        Note: points are stored as pixel and float32 depth, tangents and linearity in 8 bits, the surface in 20 um steps.
+        Raises:
+            ValueError: The surface lies farther away than the file's 16 bits reach.
+
+        Note:
+            Points are stored as pixel and float32 depth, tangents and linearity in 8 bits, the surface in 20 um steps.
         """
         b, s = self.boundary, self.surface
-        arrays = {
+        if s.depth.max(initial=0.0) > FARTHEST:
+            raise ValueError(f"a scene file holds depths up to {FARTHEST:.2f} m, the surface has {s.depth.max():.2f} m")
+        arrays: dict[str, Any] = {
             "version": np.int64(SCENE_VERSION),
             "part": np.str_(self.part),
             "d_max": np.float64(self.d_max),
@@ -71,7 +78,7 @@ class BoundaryScene:
             "depth": b.points_cam[:, 2].astype(np.float32),
             "tangents": np.round(b.tangents_cam * 127).astype(np.int8),
             "linearity": np.round(b.linearity * 255).astype(np.uint8),
-            "surface": np.round(np.clip(s.depth / SURFACE_UNIT, 0, 65535)).astype(np.uint16),
+            "surface": np.round(s.depth / SURFACE_UNIT).astype(np.uint16),
             "surface_frame": np.array([s.u0, s.v0, s.cell], np.float64),
             "K": self.K,
             "instance_ids": self.instance_ids.astype(np.int16),
@@ -100,7 +107,8 @@ class BoundaryScene:
                 raise SceneError(f"{path} is a scene of version {a['version']}, this code reads {SCENE_VERSION}")
             tangents = a["tangents"] / 127.0
             lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
-            u0, v0, cell = a["surface_frame"]
+            u0, v0, cell = a["surface_frame"].tolist()
+            surface = Surface(depth=a["surface"] * np.float32(SURFACE_UNIT), u0=u0, v0=v0, cell=cell)
             K, depth, pixels = a["K"], a["depth"].astype(np.float64), a["pixels"].astype(np.int64)
             rays = np.column_stack([(pixels - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones(len(pixels))])
             return cls(
@@ -112,14 +120,16 @@ class BoundaryScene:
                     linearity=a["linearity"] / 255.0,
                     pixels=pixels,
                 ),
-                surface=Surface(depth=a["surface"] * np.float32(SURFACE_UNIT), u0=float(u0), v0=float(v0), cell=float(cell)),
+                surface=surface,
                 K=K,
                 instance_ids=a["instance_ids"].astype(np.int64),
                 T_cam_parts=a["T_cam_parts"],
                 centres_cam=a["centres_cam"],
                 visible_fractions=a["visible_fractions"],
             )
-        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        except SceneError:
+            raise
+        except Exception as error:  # from zipfile, zlib and NumPy's header parser a flipped bit draws nearly anything
             raise SceneError(f"{path} holds no whole scene ({error})") from error
 
     def only(self, mask: NDArray[np.bool_]) -> "BoundaryScene":

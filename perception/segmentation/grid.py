@@ -1,0 +1,85 @@
+"""A scene as the image-plane network sees it: coarse cells of depth and boundary density, and points placed in them.
+
+One coarse cell, which the network works on, is 2 x 2 fine cells; a fine cell is :class:`Surface`'s, about d_max / 80.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.geometry import Floats
+from perception.segmentation.surface import Surface
+
+FINE = 2  # fine cells along a side of a coarse one
+CHANNELS = 4 * FINE * FINE  # of a coarse cell: height, detail, measured, density in each of its fine cells
+LOCAL = 4  # what a point knows besides its place
+DETAIL_WINDOW = 9  # fine cells over which the mean is taken that detail is measured against
+DETAIL_SCALE = 0.05  # of d_max; a detail of this size is 1
+MULTIPLE = 16  # the network halves its grid four times
+
+Singles = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GridView:
+    """One scene, or a part of it, in cells.
+
+    Attributes:
+        cells: (CHANNELS, H, W) float32, H and W multiples of 16.
+        place: (N, 2) float32 column and row of each point in coarse cells; a cell's middle is at + .5.
+        local: (N, LOCAL) float32: place within the fine cell, height over the cell's surface, height.
+    """
+
+    cells: Singles
+    place: Singles
+    local: Singles
+
+
+def view_grid(
+    surface: Singles,
+    place_fine: Floats,
+    depths: Floats,
+    d_max: float,
+    reference: float,
+    keep: NDArray[np.bool_] | None = None,
+) -> GridView:
+    """Return what the network is shown.
+
+    Args:
+        surface: (h, w) depth of the fine cells [m], 0 for none.
+        place_fine: (N, 2) column and row of each boundary point in fine cells.
+        depths: (N,) of the points [m].
+        d_max: The part's largest extent, the unit of height [m].
+        reference: Depth at which height is 0 [m].
+        keep: (N,) points whose density is drawn; all by default. Points off the grid are never drawn.
+    """
+    rows, columns = (-(-size // (FINE * MULTIPLE)) * FINE * MULTIPLE for size in surface.shape)
+    depth = np.zeros((rows, columns), np.float32)
+    depth[: surface.shape[0], : surface.shape[1]] = surface
+    measured = (depth > 0).astype(np.float32)
+    height = np.where(depth > 0, (reference - depth) / d_max, 0).astype(np.float32)
+    window = (DETAIL_WINDOW, DETAIL_WINDOW)
+    mean = cv2.blur(height, window) / np.maximum(cv2.blur(measured, window), 1e-3)
+    detail = np.clip((height - mean) * measured / DETAIL_SCALE, -3.0, 3.0)
+    at = np.floor(place_fine).astype(np.int64)
+    drawn = (at[:, 0] >= 0) & (at[:, 1] >= 0) & (at[:, 0] < columns) & (at[:, 1] < rows)
+    flat = np.clip(at[:, 1], 0, rows - 1) * columns + np.clip(at[:, 0], 0, columns - 1)
+    shown = flat[drawn if keep is None else drawn & keep]
+    density = np.bincount(shown, minlength=rows * columns).reshape(rows, columns).astype(np.float32)
+    fine = np.stack([height, detail, measured, np.minimum(density, 3.0) / 3.0])
+    cells = fine.reshape(4, rows // FINE, FINE, columns // FINE, FINE).transpose(0, 2, 4, 1, 3)
+    own = (reference - depths) / d_max
+    over = np.where(measured.ravel()[flat] > 0, np.clip((own - height.ravel()[flat]) / DETAIL_SCALE, -3.0, 3.0), 0.0)
+    within = place_fine - at - 0.5
+    return GridView(
+        cells=np.ascontiguousarray(cells.reshape(CHANNELS, rows // FINE, columns // FINE)),
+        place=(place_fine / FINE).astype(np.float32),
+        local=np.column_stack([within, over, own]).astype(np.float32),
+    )
+
+
+def place_in(surface: Surface, pixels: NDArray[np.integer]) -> Floats:
+    """Return the (N, 2) column and row in fine cells of the middles of (N, 2) pixels."""
+    return np.asarray((pixels - (surface.u0, surface.v0) + 0.5) / surface.cell, np.float64)

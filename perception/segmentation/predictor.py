@@ -1,0 +1,164 @@
+"""Arrays in, instances out: networks and grouping behind one door."""
+
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from perception.boundary import BoundaryCloud
+from perception.geometry import Floats
+from perception.segmentation.dataset import centred
+from perception.segmentation.grid import place_in, view_grid
+from perception.segmentation.grid_net import GridInputs, GridNet
+from perception.segmentation.grouping import GroupingConfig, group_points
+from perception.segmentation.instance import Instance, instances_of
+from perception.segmentation.output import PointOutputs
+from perception.segmentation.surface import Surface
+from perception.segmentation.weights import Network, find_weights, load_network
+
+_log = logging.getLogger(__name__)
+Singles = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictorConfig:
+    """How a trained network is used.
+
+    Attributes:
+        grouping: Of the points by their embedding.
+        subset: Points that a network over point sets (the paper's) sees at once; the image-plane network sees all.
+        bf16: Run the trunk in bfloat16 where the processor knows it.
+        seed: Of the subsets; the same cloud is always divided the same way.
+    """
+
+    grouping: GroupingConfig = field(default_factory=GroupingConfig)
+    subset: int = 4096
+    bf16: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.subset < 1:
+            raise ValueError(f"subset must be at least 1, got {self.subset}")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PointPredictions:
+    """What the network says about each of N points.
+
+    Attributes:
+        embedding: (N, F) float32.
+        confidence: (N,) float32 in (0, 1).
+        offsets: (N, 3) float32 to the part's centre in units of d_max; None without that head.
+    """
+
+    embedding: Singles
+    confidence: Singles
+    offsets: Singles | None
+
+
+class SegmentationPredictor:
+    """Labels all boundary points of a frame.
+
+    A network over point sets sees random subsets of the cloud that cover it once; embeddings of different subsets are
+    comparable, so all points are grouped together. The image-plane network sees the whole frame at once.
+    """
+
+    def __init__(
+        self, network: Network, config: PredictorConfig | None = None, device: torch.device | str | None = None
+    ) -> None:
+        """Use ``network``; on a GPU if there is one and none is named.
+
+        Args:
+            network: Trained; it is put into evaluation mode and moved.
+            config: :class:`PredictorConfig`'s defaults if left out.
+            device: Where it runs.
+        """
+        self.config = config or PredictorConfig()
+        self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        self.network = network.to(self.device).eval()
+        if isinstance(network, GridNet):
+            self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    @classmethod
+    def for_part(
+        cls, part: str, config: PredictorConfig | None = None, device: torch.device | str | None = None
+    ) -> "SegmentationPredictor":
+        """Use the weights for a part, by its catalogue name or the stem of its file.
+
+        Raises:
+            WeightsError: There are none; the text names the commands that make them.
+        """
+        return cls.from_file(find_weights(Path(part).stem), config, device)
+
+    @classmethod
+    def from_file(
+        cls, path: Path, config: PredictorConfig | None = None, device: torch.device | str | None = None
+    ) -> "SegmentationPredictor":
+        """Use the weights of a ``.safetensors`` file."""
+        _log.info("segmentation weights: %s", path)
+        return cls(load_network(path), config, device)
+
+    def predict(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> list[Instance]:
+        """Return the instances, best first; an empty cloud, or one without a group, has none.
+
+        Args:
+            boundary: All boundary points of a frame.
+            surface: The same frame's organised cloud in cells of this part's size.
+            d_max: The part's largest extent [m].
+
+        Raises:
+            ValueError: ``d_max`` is not positive.
+        """
+        if not 0 < d_max < np.inf:
+            raise ValueError(f"d_max must be positive and finite, got {d_max}")
+        if len(boundary) == 0:
+            return []
+        said = self.describe(boundary, surface, d_max)
+        groups = group_points(said.embedding, said.confidence, boundary.points_cam, d_max, self.config.grouping)
+        return instances_of(groups.labels, groups.scores)
+
+    def describe(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> PointPredictions:
+        """Return the network's outputs for all points of a cloud that is not empty."""
+        with torch.inference_mode(), torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
+            if isinstance(self.network, GridNet):
+                return self._whole(boundary, surface, d_max)
+            return self._subsets(boundary.points_cam, d_max)
+
+    def _whole(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> PointPredictions:
+        points = boundary.points_cam
+        reference = float(np.median(points[:, 2]))
+        view = view_grid(surface.depth, place_in(surface, boundary.pixels), points[:, 2], d_max, reference)
+        arrays = (view.cells, view.place, view.local, centred(points, d_max))
+        inputs = GridInputs(*(torch.from_numpy(array)[None].to(self.device) for array in arrays))
+        return _predictions(self.network(inputs))
+
+    def _subsets(self, points: Floats, d_max: float) -> PointPredictions:
+        count = len(points)
+        pieces = -(-count // self.config.subset)
+        order = np.random.default_rng(self.config.seed).permutation(count)
+        # Every piece is filled up to the same density, at which the network was trained.
+        size = -(-count // pieces)
+        found: list[PointPredictions] = []
+        coordinates = centred(points, d_max)
+        for piece in range(pieces):
+            chosen = order[piece * size : (piece + 1) * size]
+            inputs = torch.from_numpy(coordinates[chosen])[None].to(self.device)
+            found.append(_predictions(self.network(inputs)))
+        back = np.argsort(order)
+        return PointPredictions(
+            embedding=np.concatenate([f.embedding for f in found])[back],
+            confidence=np.concatenate([f.confidence for f in found])[back],
+            offsets=None,
+        )
+
+
+def _predictions(outputs: PointOutputs) -> PointPredictions:
+    offsets = outputs.offsets_BN3
+    return PointPredictions(
+        embedding=outputs.embedding_BNF[0].float().cpu().numpy(),
+        confidence=outputs.confidence_BN[0].float().cpu().numpy(),
+        offsets=None if offsets is None else offsets[0].float().cpu().numpy(),
+    )

@@ -1,0 +1,219 @@
+"""The training loop: a step is a pure function of (state, scenes, seed, step), so that it resumes to the bit."""
+
+import math
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from perception.segmentation.dataset import Batch, BatchMaker
+from perception.segmentation.grid_net import GridNet
+from perception.segmentation.losses import confidence_loss, offset_loss, pair_loss, semantic_loss
+from perception.segmentation.output import PointOutputs
+from perception.segmentation.presets import TrainingConfig
+from perception.segmentation.weights import Network, build_network
+
+SKIPS = 10  # updates in a row that may be left out because a loss or gradient is not finite
+
+
+class TrainingError(RuntimeError):
+    """The training cannot go on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Length:
+    """When a training ends: after ``steps``, or after ``minutes`` of it; exactly one is given."""
+
+    steps: int | None = None
+    minutes: float | None = None
+
+    def __post_init__(self) -> None:
+        given = [value for value in (self.steps, self.minutes) if value is not None]
+        if len(given) != 1 or not given[0] > 0:
+            raise ValueError(f"give either steps or minutes, positive; got steps {self.steps}, minutes {self.minutes}")
+
+    def progress(self, step: int, elapsed: float) -> float:
+        """Return the share in [0, 1] that is done after ``step`` steps and ``elapsed`` seconds."""
+        done = step / self.steps if self.steps is not None else elapsed / (60.0 * (self.minutes or 1.0))
+        return min(done, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepRecord:
+    """What one step did.
+
+    Attributes:
+        step: Number of steps done.
+        progress: Share of the training in [0, 1].
+        losses: Unweighted terms, and the weighted ``total``.
+        rate: Learning rate.
+        norm: Of the gradient before clipping.
+        skipped: Whether the update was left out because something was not finite.
+    """
+
+    step: int
+    progress: float
+    losses: dict[str, float]
+    rate: float
+    norm: float
+    skipped: bool
+
+
+class Trainer:
+    """State and loop of one training; ``torch.distributed``'s processes each hold one, rank by rank."""
+
+    def __init__(
+        self, config: TrainingConfig, batches: BatchMaker, length: Length, device: torch.device | str = "cpu"
+    ) -> None:
+        """Build network and optimizer; nothing is trained yet.
+
+        Args:
+            config: How to train.
+            batches: What to train on.
+            length: How long.
+            device: Where.
+        """
+        torch.manual_seed(config.seed)
+        self.config, self.batches, self.length, self.device = config, batches, length, torch.device(device)
+        self.network = build_network(config.network).to(self.device)
+        if isinstance(self.network, GridNet):
+            self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.averaged = build_network(config.network).to(self.device).requires_grad_(False)
+        self.averaged.load_state_dict(self.network.state_dict())
+        self.averaged.eval()
+        self.optimizer = _optimizer(config, self.network)
+        self.step = 0
+        self.elapsed = 0.0
+        self._skips = 0
+        self._parallel: nn.Module = self.network
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            self._parallel = nn.parallel.DistributedDataParallel(self.network)
+
+    def run(self) -> Iterator[StepRecord]:
+        """Train to the end, yielding after each step; the batch after is made meanwhile."""
+        with ThreadPoolExecutor(1) as ahead:
+            coming = ahead.submit(self.batches, self.step)
+            while self.progress < 1.0:
+                started = time.perf_counter()
+                batch = coming.result()
+                coming = ahead.submit(self.batches, self.step + 1)
+                record = self._train(batch)
+                self.elapsed += time.perf_counter() - started
+                yield record
+
+    @property
+    def progress(self) -> float:
+        """Share of the training that is done, the same in every process."""
+        share = self.length.progress(self.step, self.elapsed)
+        if self._parallel is not self.network and self.length.minutes is not None:
+            agreed = torch.tensor(share, device=self.device)
+            torch.distributed.broadcast(agreed, 0)
+            return float(agreed)
+        return share
+
+    @property
+    def epoch(self) -> float:
+        """How often each scene has been drawn, on average."""
+        return self.step * self.config.batch / len(self.batches.scenes)
+
+    def best_network(self) -> Network:
+        """Return the weights to evaluate and to ship, in evaluation mode."""
+        return self.averaged if self.config.ema is not None else self.network.eval()
+
+    def _train(self, batch: Batch) -> StepRecord:
+        config, progress = self.config, self.progress
+        rate = learning_rate(config, self.step, progress)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.network.train()
+        batch = to_device(batch, self.device)
+        with self._autocast():
+            outputs: PointOutputs = self._parallel(batch.inputs)
+        terms = self._terms(outputs, batch)
+        total = sum((weight * term for weight, term in terms.values()), torch.zeros((), device=self.device))
+        self.optimizer.zero_grad(set_to_none=True)
+        total.backward()  # type: ignore[no-untyped-call]
+        norm = nn.utils.clip_grad_norm_(self.network.parameters(), config.clip or math.inf)
+        finite = bool(torch.isfinite(total) & torch.isfinite(norm))
+        if finite:
+            self.optimizer.step()
+            self._average()
+        self._count_skips(finite)
+        self.step += 1
+        losses = {name: float(term.detach()) for name, (_, term) in terms.items()} | {"total": float(total.detach())}
+        return StepRecord(
+            step=self.step, progress=progress, losses=losses, rate=rate, norm=float(norm), skipped=not finite
+        )
+
+    def _terms(self, outputs: PointOutputs, batch: Batch) -> dict[str, tuple[float, Tensor]]:
+        config = self.config
+        chance = torch.Generator(device=self.device).manual_seed(hash((config.seed, self.batches.rank, self.step)))
+        ids, embedding = batch.instance_ids_BN, outputs.embedding_BNF.float()
+        alpha = config.alpha(self.epoch)
+        terms = {
+            "pairs": (
+                1.0,
+                pair_loss(embedding, ids, config.pairs, alpha, generator=chance, points_BN3=batch.points_BN3),
+            ),
+            "confidence": (
+                config.confidence_weight,
+                confidence_loss(outputs.confidence_BN.float(), embedding, ids, config.pairs, generator=chance),
+            ),
+        }
+        if outputs.semantics_BNS.shape[-1] > 1:
+            classes = ids.clamp(max=0)
+            terms["semantics"] = (config.semantic_weight, semantic_loss(outputs.semantics_BNS.float(), classes))
+        if outputs.offsets_BN3 is not None:
+            terms["offsets"] = (config.offset_weight, offset_loss(outputs.offsets_BN3, batch.offsets_BN3, ids))
+        return terms
+
+    def _average(self) -> None:
+        if self.config.ema is None:
+            return
+        # The first steps' weights are far from the last: the average's memory grows with the training.
+        decay = min(self.config.ema, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            theirs = self.network.state_dict()
+            for name, mine in self.averaged.state_dict().items():
+                if mine.dtype.is_floating_point:
+                    mine.lerp_(theirs[name], 1.0 - decay)
+                else:
+                    mine.copy_(theirs[name])
+
+    def _count_skips(self, finite: bool) -> None:
+        self._skips = 0 if finite else self._skips + 1
+        if self._skips > SKIPS:
+            raise TrainingError(
+                f"loss or gradient was not finite {self._skips} times in a row, the last time at step {self.step}; "
+                "a lower learning rate, or clipping, may help"
+            )
+
+    def _autocast(self) -> AbstractContextManager[Any]:
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16)
+
+
+def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:
+    """Return the rate of a step: linear warm-up, then constant or a cosine over the whole training."""
+    rate = config.learning_rate
+    if config.schedule == "cosine":
+        low = min(config.final_rate, rate)
+        rate = low + (rate - low) * 0.5 * (1.0 + math.cos(math.pi * progress))
+    return rate * min(1.0, (step + 1) / config.warmup) if config.warmup else rate
+
+
+def to_device(batch: Batch, device: torch.device) -> Batch:
+    """Return the batch on ``device``."""
+    inputs = batch.inputs
+    moved = inputs.to(device) if isinstance(inputs, Tensor) else type(inputs)(*(array.to(device) for array in inputs))
+    return Batch(moved, *(array.to(device) for array in batch[1:]))
+
+
+def _optimizer(config: TrainingConfig, network: nn.Module) -> torch.optim.Optimizer:
+    if config.optimizer == "adam":
+        return torch.optim.Adam(network.parameters(), config.learning_rate)
+    return torch.optim.AdamW(network.parameters(), config.learning_rate, weight_decay=config.weight_decay)

@@ -1,0 +1,123 @@
+"""Trained networks on disk: weights as safetensors, and beside them a JSON with everything that made them."""
+
+import json
+import os
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from shutil import copyfile
+from typing import Any
+
+import platformdirs
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from perception.files import json_text, replace_atomically, write_atomically
+from perception.segmentation.grid_net import GridNet, GridNetConfig
+from perception.segmentation.sgpn import Sgpn, SgpnConfig
+
+SHIPPED = Path(__file__).resolve().parents[1] / "weights"
+SHARED = "shared"  # the network for every part of the catalogue
+WEIGHTS_VERSION = 1
+Network = GridNet | Sgpn
+_KINDS: dict[str, tuple[type[GridNetConfig] | type[SgpnConfig], type[GridNet] | type[Sgpn]]] = {
+    "grid": (GridNetConfig, GridNet),
+    "sgpn": (SgpnConfig, Sgpn),
+}
+
+
+class WeightsError(ValueError):
+    """There are no weights for a part, or a file does not hold a whole network of this version."""
+
+
+def build_network(config: GridNetConfig | SgpnConfig) -> Network:
+    """Return a network with fresh weights (of torch's global generator)."""
+    return GridNet(config) if isinstance(config, GridNetConfig) else Sgpn(config)
+
+
+def save_network(path: Path, network: Network, record: dict[str, Any]) -> None:
+    """Write ``path`` (safetensors) and its JSON, each in one piece.
+
+    Args:
+        path: Ends with ``.safetensors``.
+        network: On any device.
+        record: How it was trained: anything JSON holds; ``parts`` names the parts that it is for.
+    """
+    kind = "grid" if isinstance(network, GridNet) else "sgpn"
+    facts = {"version": WEIGHTS_VERSION, "kind": kind, "network": asdict(network.config)}
+    tensors = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
+    replace_atomically(path, lambda draft: save_file(tensors, draft))
+    write_atomically(path.with_suffix(".json"), json_text({**facts, **record}))
+
+
+def load_record(path: Path) -> dict[str, Any]:
+    """Read the JSON beside weights.
+
+    Raises:
+        WeightsError: It is missing, damaged or of another version.
+    """
+    note = path.with_suffix(".json")
+    try:
+        record: dict[str, Any] = json.loads(note.read_text())
+        version = record["version"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise WeightsError(f"{note} does not describe a network ({error})") from error
+    if version != WEIGHTS_VERSION:
+        raise WeightsError(f"{note} is of version {version}, this code reads {WEIGHTS_VERSION}")
+    return record
+
+
+def load_network(path: Path) -> Network:
+    """Return the network of a ``.safetensors`` file, in evaluation mode, on the CPU.
+
+    Raises:
+        WeightsError: A file is missing or damaged, or the weights do not fit the network that the JSON describes.
+    """
+    record = load_record(path)
+    try:
+        config_type, network_type = _KINDS[record["kind"]]
+        values = {name: tuple(v) if isinstance(v, list) else v for name, v in record["network"].items()}
+        network: nn.Module = network_type(config_type(**values))  # type: ignore[arg-type]
+        network.load_state_dict(load_file(path))
+    except (OSError, KeyError, TypeError, ValueError, RuntimeError, SafetensorError) as error:
+        raise WeightsError(f"{path} does not hold the network that its JSON describes ({error})") from error
+    network.eval()
+    assert_type: Network = network  # type: ignore[assignment]
+    return assert_type
+
+
+def find_weights(part: str) -> Path:
+    """Return the weights for a part: the user's own before the shipped ones, the part's own before the shared ones.
+
+    Args:
+        part: Catalogue name, or the stem of a mesh file.
+
+    Raises:
+        WeightsError: There are none; the text names the commands that make them.
+    """
+    own = user_folder()
+    for path in (own / f"{part}.safetensors", SHIPPED / f"{part}.safetensors"):
+        if path.exists():
+            return path
+    shared = SHIPPED / f"{SHARED}.safetensors"
+    if shared.exists() and part in load_record(shared).get("parts", []):
+        return shared
+    raise WeightsError(
+        f"there are no segmentation weights for {part!r}: train them with scripts/generate_scenes.py --part {part} and "
+        f"scripts/train_segmentation.py --part {part}, which puts them into {own}"
+    )
+
+
+def install_weights(path: Path, name: str) -> Path:
+    """Copy weights and their JSON to the user's own under ``name``; return the copy's path."""
+    target = user_folder() / f"{name}.safetensors"
+    for suffix in (".safetensors", ".json"):
+        source = path.with_suffix(suffix)
+        replace_atomically(target.with_suffix(suffix), partial(copyfile, source))
+    return target
+
+
+def user_folder() -> Path:
+    """Return where a user's own weights lie: ``$BINPICK_CACHE`` or the platform's cache folder, ``weights``."""
+    return Path(os.environ.get("BINPICK_CACHE") or platformdirs.user_cache_dir("binpick")) / "weights"

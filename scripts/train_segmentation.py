@@ -1,0 +1,126 @@
+"""Train a segmentation network on labelled scenes."""
+
+import logging
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+import tyro
+from tqdm import tqdm
+
+from perception.files import json_text, write_atomically
+from perception.segmentation.checkpoint import CheckpointError
+from perception.segmentation.dataset import BatchMaker, find_scenes, load_packed
+from perception.segmentation.distributed import Place, processes
+from perception.segmentation.presets import EPOCHS, PRESETS, PresetName, TrainingConfig
+from perception.segmentation.progress import TrainingDisplay
+from perception.segmentation.run import LOG, WEIGHTS, Log, RunConfig, resume, train
+from perception.segmentation.scene import SceneError
+from perception.segmentation.training import Length, Trainer, TrainingError
+from perception.segmentation.weights import SHARED, install_weights
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Train a segmentation network on the scenes of one part, or one network for several.
+
+    The same command again goes on where it was stopped. Under torchrun, several processes train together.
+    """
+
+    part: tuple[str, ...] = ("tee",)  # what the network is for; the names it will be found under
+    scenes: tuple[Path, ...] = ()  # folders of generate_scenes.py; runs/scenes-PART-0 of each part unless given
+    validation: tuple[Path, ...] = ()  # folders only evaluated on; the last scenes of each folder unless given
+    held_out: int = 8  # scenes of each folder kept for validation where no folder is given
+    preset: PresetName = "ours"  # paper: its text to the letter; released: as the code of its lineage does
+    minutes: float | None = None  # length of the training
+    steps: int | None = None  # its length in steps, with which the same seed gives the same weights
+    seed: int = 0  # of weights, samples and augmentation
+    batch: int | None = None  # scenes a step; the preset's unless given
+    learning_rate: float | None = None  # the preset's unless given
+    threads: int | None = None  # of the processor; torch's choice unless given
+    device: str | None = None  # a GPU if there is one unless given
+    evaluate_every: float = 10.0  # minutes of training between evaluations
+    out: Path | None = None  # folder of checkpoint, log and weights; runs/segmentation-NAME-PRESET-SEED unless given
+    install: bool = True  # copy the weights to the user's cache folder, where every command finds them
+    tensorboard: bool = True  # write TensorBoard's events into the folder
+    json: Path | None = None  # where to write the last evaluation
+
+    @property
+    def name(self) -> str:
+        """Of the weights."""
+        return Path(self.part[0]).stem if len(self.part) == 1 else SHARED
+
+    def config(self) -> TrainingConfig:
+        """Return how to train."""
+        given = {"batch": self.batch, "learning_rate": self.learning_rate}
+        chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        return replace(PRESETS[self.preset], seed=self.seed, **chosen)
+
+    def folder(self) -> Path:
+        """Return where the training is kept."""
+        return self.out or Path("runs") / f"segmentation-{self.name}-{self.preset}-{self.seed}"
+
+    def files(self) -> tuple[list[Path], list[Path]]:
+        """Return the scenes to train and to validate on."""
+        folders = self.scenes or tuple(Path("runs") / f"scenes-{Path(part).stem}-0" for part in self.part)
+        if self.validation:
+            return find_scenes(folders), find_scenes(self.validation)
+        each = [find_scenes([folder]) for folder in folders]
+        kept = [min(self.held_out, len(paths) // 2) for paths in each]
+        training = [path for paths, n in zip(each, kept, strict=True) for path in paths[: len(paths) - n]]
+        return training, [path for paths, n in zip(each, kept, strict=True) for path in paths[len(paths) - n :]]
+
+    def length(self, config: TrainingConfig, scenes: int) -> Length:
+        """Return how long to train: the paper's 200 epochs for its presets where nothing is said."""
+        if self.minutes is None and self.steps is None and self.preset != "ours":
+            return Length(steps=EPOCHS * scenes // config.batch)
+        return Length(steps=self.steps, minutes=self.minutes)
+
+
+def main(args: Arguments) -> int:
+    """Train; return the exit code."""
+    if args.threads is not None:
+        torch.set_num_threads(args.threads)
+    try:
+        with processes() as place:
+            return _train(args, place)
+    except KeyboardInterrupt:
+        print(f"\nstopped; the same command goes on from {args.folder()}", file=sys.stderr)
+        return 130
+    except (ValueError, OSError, SceneError, CheckpointError, TrainingError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+def _train(args: Arguments, place: Place) -> int:
+    config, out, leader = args.config(), args.folder(), place.rank == 0
+    training, validation = args.files()
+    with tqdm(total=len(training), desc="reading", unit="scene", disable=not leader) as bar:
+        scenes = load_packed(training, bar.update)
+    batches = BatchMaker.of(config, scenes, place.rank)
+    device = args.device or (f"cuda:{place.local_rank}" if torch.cuda.is_available() else "cpu")
+    trainer = Trainer(config, batches, args.length(config, len(scenes)), device)
+    names = tuple(Path(part).stem for part in args.part)
+    run = RunConfig(out=out, parts=names, evaluate_every=args.evaluate_every, leader=leader)
+    if resume(trainer, run) and leader:
+        print(f"goes on from step {trainer.step}, {trainer.elapsed / 60:.1f} minutes")
+    with TrainingDisplay(out, args.tensorboard, leader) as display:
+        last = train(trainer, validation, run, display.on_step, display.on_line)
+    if leader:
+        _deliver(args, out, last)
+    return 0
+
+
+def _deliver(args: Arguments, out: Path, last: Log) -> None:
+    print(f"weights   {out / WEIGHTS}\nlog       {out / LOG}")
+    if args.install:
+        print(f"installed {install_weights(out / WEIGHTS, args.name)}")
+    if args.json is not None:
+        write_atomically(args.json, json_text(last))
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
+    sys.exit(main(tyro.cli(Arguments)))
