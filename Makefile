@@ -19,6 +19,7 @@ $(BIN)/python:
 
 $(VENV)/.run-stamp: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing binpick into $(VENV) ..."
+	$(PIP) torch==2.13.0
 	$(PIP) -e .
 	@touch $@
 

@@ -43,6 +43,20 @@ class ClutterStats:
         )
 
 
+def pooled_clutter(stats: Sequence[ClutterStats]) -> dict[str, float | None]:
+    """Sum bins up: median (mean of the bins' medians), below_half and above_nine_tenths (of all parts), parts."""
+    filled = [s for s in stats if s.count]
+    parts = [s.count for s in filled]
+    if not filled:
+        return {"median": None, "below_half": None, "above_nine_tenths": None, "parts": 0}
+    return {
+        "median": float(np.mean([s.median for s in filled])),
+        "below_half": float(np.average([s.below_half for s in filled], weights=parts)),
+        "above_nine_tenths": float(np.average([s.above_nine_tenths for s in filled], weights=parts)),
+        "parts": sum(parts),
+    }
+
+
 def visible_fractions(capture: Capture, mesh: trimesh.Trimesh, T_world_parts: Floats) -> Floats:
     """Return the (N,) visible fraction of each part: its pixels / its pixels if it were rendered alone.
 

@@ -14,6 +14,7 @@ import numpy as np
 from binpick_env.camera import Capture, DepthCamera, default_pose
 from binpick_env.clutter import visible_fractions
 from binpick_env.config import CameraConfig, CellConfig, SensorPreset
+from binpick_env.folder_claim import claim
 from binpick_env.parts import CATALOGUE, Part, Unit, load_part
 from binpick_env.process_map import map_indices
 from binpick_env.sensor import PRESETS
@@ -21,7 +22,7 @@ from binpick_env.settle import drop_and_settle
 from binpick_env.shading import Light
 from binpick_env.simulation import Simulation
 from perception.boundary import extract_boundary
-from perception.files import json_text, write_atomically
+from perception.files import json_text
 from perception.geometry import Floats, invert_transform, make_transform, rotation_about
 from perception.segmentation.scene import BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
@@ -181,30 +182,12 @@ def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int 
 
 
 def claim_folder(config: SceneConfig, folder: Path) -> None:
-    """Note the configuration in the folder, or compare with the one that is noted there.
-
-    Raises:
-        ValueError: Another one is noted, which the text tells apart from this; or the note cannot be read.
-    """
-    note = folder / CONFIG_FILE
-    mine = _note(config)
-    if not note.exists():
-        write_atomically(note, json_text(mine))
-        return
-    try:
-        theirs = json.loads(note.read_text())
-        names = sorted(name for name in {*mine, *theirs} if mine.get(name) != theirs.get(name))
-    except (ValueError, TypeError, AttributeError) as error:
-        raise ValueError(f"{note} is damaged; choose another folder with --out, or delete this one") from error
-    if names:
-        different = ", ".join(f"{name}: {theirs.get(name)} there, {mine.get(name)} here" for name in names)
-        raise ValueError(
-            f"{folder} holds scenes of another configuration ({different}); "
-            "choose another folder with --out, or delete this one"
-        )
+    """Note the configuration in the folder, or compare with the one that is noted there; see `claim`."""
+    claim(folder / CONFIG_FILE, scene_note(config), "scenes")
 
 
-def _note(config: SceneConfig) -> dict[str, Any]:
+def scene_note(config: SceneConfig) -> dict[str, Any]:
+    """Return what scenes depend on as plain values, a mesh file's content included."""
     values: dict[str, Any] = json.loads(json_text(asdict(config)))
     if config.part not in CATALOGUE:
         values["file"] = hashlib.sha256(Path(config.part).read_bytes()).hexdigest()

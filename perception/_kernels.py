@@ -17,8 +17,9 @@ Ints = NDArray[np.int64]
 def foreground_pixels(pixels: Ints, depth: Singles, radius: int, widest: int, step: float) -> Ints:
     """Return for each pixel the (N, 2) pixel to take its depth from, or (-1, -1) where nothing near has one.
 
-    The window of ``radius`` grows to ``widest`` until it holds a depth. Of its pixels within ``step`` of the nearest
-    depth, the one closest in the image is taken; the nearer one, then the first in reading order, decides a tie.
+    The window of ``radius`` grows, up to ``widest``, as long as a depth is missing in it: a surface that is lost beside
+    its own outline lies behind the hole. Of its pixels within ``step`` of the nearest depth, the one closest in the
+    image is taken; the nearer one, then the first in reading order, decides a tie.
     """
     height, width = depth.shape
     out = np.full((len(pixels), 2), -1, np.int64)
@@ -26,12 +27,14 @@ def foreground_pixels(pixels: Ints, depth: Singles, radius: int, widest: int, st
         u0, v0 = pixels[i]
         for r in range(radius, widest + 1):
             top, bottom, left, right = max(v0 - r, 0), min(v0 + r, height - 1), max(u0 - r, 0), min(u0 + r, width - 1)
-            nearest = np.inf
+            nearest, whole = np.inf, True
             for v in range(top, bottom + 1):
                 for u in range(left, right + 1):
-                    if 0.0 < depth[v, u] < nearest:
+                    if depth[v, u] <= 0.0:
+                        whole = False
+                    elif depth[v, u] < nearest:
                         nearest = depth[v, u]
-            if nearest == np.inf:
+            if (not whole and r < widest) or nearest == np.inf:
                 continue
             best, best_depth = 2 * (widest + 1) ** 2, np.inf
             for v in range(top, bottom + 1):
@@ -114,7 +117,8 @@ def edge_tangents(
 def nearest_surface(depth: Singles, u0: int, v0: int, cell: float, shape: tuple[int, int], step: float) -> Singles:
     """Return (h, w) mean depth of the nearest surface in each square of ``cell`` pixels from (u0, v0), 0 for none.
 
-    Of a square's depths those within ``step`` of the smallest are averaged, so that no value lies between two surfaces.
+    A pixel belongs to the square that its middle is in. Of a square's depths those within ``step`` of the smallest are
+    averaged, so that no value lies between two surfaces.
     """
     height, width = depth.shape
     rows, columns = shape
@@ -123,20 +127,20 @@ def nearest_surface(depth: Singles, u0: int, v0: int, cell: float, shape: tuple[
     count = np.zeros((rows, columns), np.int64)
     v1, u1 = min(int(v0 + np.ceil(rows * cell)), height), min(int(u0 + np.ceil(columns * cell)), width)
     for v in range(max(v0, 0), v1):
-        r = int((v - v0) / cell)
+        r = int((v - v0 + 0.5) / cell)
         if r >= rows:
             continue
         for u in range(max(u0, 0), u1):
-            c = int((u - u0) / cell)
+            c = int((u - u0 + 0.5) / cell)
             z = depth[v, u]
             if z > 0 and c < columns and z < nearest[r, c]:
                 nearest[r, c] = z
     for v in range(max(v0, 0), v1):
-        r = int((v - v0) / cell)
+        r = int((v - v0 + 0.5) / cell)
         if r >= rows:
             continue
         for u in range(max(u0, 0), u1):
-            c = int((u - u0) / cell)
+            c = int((u - u0 + 0.5) / cell)
             z = depth[v, u]
             if z > 0 and c < columns and z <= nearest[r, c] + step:
                 total[r, c] += z

@@ -19,6 +19,7 @@ PACKAGES = (
     "scipy",
     "numba",
     "opencv-python-headless",
+    "torch",
     "trimesh",
     "manifold3d",
     "coacd",

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from binpick_env.text_tables import columns
 from perception.files import json_text, write_atomically
 from perception.provenance import command_line, git_commit, machine, versions
-from policies.tables import columns
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from binpick_env.report_style import bars, figure, page, table, tag, tile
+from binpick_env.text_tables import number, percent, spread
 from perception.files import write_atomically
 from policies.outcomes import GraspOutcome
 from policies.records import BinRecord, PickRecord
-from policies.report_style import bars, figure, page, table, tag, tile
 from policies.statistics import Rate
 from policies.summary import Summary
-from policies.tables import number, percent, spread
 
 GALLERY_LIMIT = 60  # failures that are shown; a page of hundreds of pictures helps nobody
 COLUMNS = (

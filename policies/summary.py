@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from binpick_env.clutter import pooled_clutter
 from perception.files import json_text, write_atomically
 from perception.provenance import command_line, versions
 from policies.episode import Termination
@@ -132,7 +133,7 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
         outcomes=_count(GraspOutcome, [pick.outcome for pick in attempts]),
         time={name: _mean(times[:, k]) for k, name in enumerate(("sense", "compute", "motion"))},
         wall=_wall(records, len(attempts)),
-        clutter=_clutter(records),
+        clutter=pooled_clutter([record.clutter for record in records]),
         camera_backend=config.camera.backend,
         intervals={
             "gsr": (gsr.low, gsr.high),
@@ -184,17 +185,4 @@ def _wall(records: Sequence[BinRecord], attempts: int) -> dict[str, float | None
         "attempt": picking / attempts if attempts else None,
         "bin": wall / len(records),
         "render_share": sum(record.render for record in records) / wall if wall > 0 else None,
-    }
-
-
-def _clutter(records: Sequence[BinRecord]) -> dict[str, float | None]:
-    stats = [record.clutter for record in records if record.clutter.count]
-    parts = [s.count for s in stats]
-    if not stats:
-        return {"median": None, "below_half": None, "above_nine_tenths": None, "parts": 0}
-    return {
-        "median": float(np.mean([s.median for s in stats])),
-        "below_half": float(np.average([s.below_half for s in stats], weights=parts)),
-        "above_nine_tenths": float(np.average([s.above_nine_tenths for s in stats], weights=parts)),
-        "parts": sum(parts),
     }

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from binpick_env.parts import Part
+from binpick_env.text_tables import WIDTH, number, percent, spread
 from policies.records import BinRecord
 from policies.summary import Interval, Summary
 
-WIDTH = 78
 _BAR = 24
 
 
@@ -99,28 +99,3 @@ def _clutter(summary: Summary) -> list[str]:
         f"clutter       visible fraction: median {number(c['median'], 2)}, "
         f"{percent(c['below_half'])} of parts under 0.5, {percent(c['above_nine_tenths'])} over 0.9"
     ]
-
-
-def columns(rows: Sequence[Sequence[str]]) -> str:
-    """Align rows of cells, the first column to the left, the others to the right."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = []
-    for first, *others in rows:
-        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
-        lines.append("  ".join([first.ljust(widths[0]), *cells]).rstrip())
-    return "\n".join(lines)
-
-
-def percent(value: float | None) -> str:
-    """Return a share in per cent, or a dash."""
-    return "–" if value is None else f"{100 * value:.1f} %"
-
-
-def number(value: float | None, digits: int) -> str:
-    """Return a number, or a dash."""
-    return "–" if value is None else f"{value:.{digits}f}"
-
-
-def spread(interval: Interval | None) -> str:
-    """Return an interval of whole numbers, or a dash."""
-    return "–" if interval is None else f"{interval[0]:.0f} to {interval[1]:.0f}"

@@ -37,6 +37,7 @@ class Arguments:
     minutes: float | None = None  # length of the training
     steps: int | None = None  # its length in steps, with which the same seed gives the same weights
     seed: int = 0  # of weights, samples and augmentation
+    initial: Path | None = None  # weights to start from; random ones unless given
     batch: int | None = None  # scenes a step; the preset's unless given
     learning_rate: float | None = None  # the preset's unless given
     threads: int | None = None  # of the processor; torch's choice unless given
@@ -103,7 +104,7 @@ def _train(args: Arguments, place: Place) -> int:
     device = args.device or (f"cuda:{place.local_rank}" if torch.cuda.is_available() else "cpu")
     trainer = Trainer(config, batches, args.length(config, len(scenes)), device)
     names = tuple(Path(part).stem for part in args.part)
-    run = RunConfig(out=out, parts=names, evaluate_every=args.evaluate_every, leader=leader)
+    run = RunConfig(out=out, parts=names, initial=args.initial, evaluate_every=args.evaluate_every, leader=leader)
     if resume(trainer, run) and leader:
         print(f"goes on from step {trainer.step}, {trainer.elapsed / 60:.1f} minutes")
     with TrainingDisplay(out, args.tensorboard, leader) as display:

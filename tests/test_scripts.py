@@ -3,6 +3,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -10,7 +11,13 @@ import cv2
 import pytest
 import trimesh
 
+from binpick_env.config import CameraConfig
+from binpick_env.process_map import WorkerError
 from binpick_env.settle import SettleError
+from binpick_env.synthesis import SceneConfig, claim_folder
+from perception.segmentation.grid_net import GridNet, GridNetConfig
+from perception.segmentation.scene import BoundaryScene
+from perception.segmentation.weights import save_network
 from policies.evaluation import BinError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -198,3 +205,185 @@ def test_bench_measures_and_compares(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "within noise" in done.stdout
     assert run("bench.py", "cell", "--compare", str(ROOT / "pyproject.toml"), file).returncode == 2
+
+
+SCENES = ["--min-parts", "2", "--max-parts", "3", "--width", "320", "--height", "240", "--sensor", "none"]
+
+
+@pytest.mark.slow
+def test_generate_scenes_makes_resumes_and_refuses_another_configuration(tmp_path: Path) -> None:
+    out, facts = tmp_path / "scenes", tmp_path / "new" / "facts.json"
+    common = [*SCENES, "--out", str(out)]
+    done = run("generate_scenes.py", "--count", "2", "--json", str(facts), *common, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert f"2 scenes in {out}" in done.stdout
+    numbers = json.loads(facts.read_text())
+    assert (numbers["out"], numbers["count"]) == (str(out), 2)
+    assert numbers["seconds"] > 0
+    made = (out / "scene_00000.npz").stat().st_mtime_ns
+    done = run("generate_scenes.py", "--count", "3", "--workers", "1", *common, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (out / "scene_00000.npz").stat().st_mtime_ns == made
+    scenes = [BoundaryScene.load(path) for path in sorted(out.glob("scene_*.npz"))]
+    assert len(scenes) == 3
+    assert all(scene.part == "tee" and len(scene.T_cam_parts) in (2, 3) for scene in scenes)
+    assert all(scene.K[0, 0] == pytest.approx(600.0) for scene in scenes)
+
+
+def test_generate_scenes_without_a_folder_names_one_after_part_and_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    generate = load("generate_scenes.py")
+    asked: list[object] = []
+    monkeypatch.setattr(generate, "generate_scenes", lambda *arguments: asked.append(arguments) or iter([0]))
+    args = ["--part", "part_b", "--seed", "3", "--count", "1", "--sensor", "mixed", "--no-jitter", "--workers", "4"]
+    assert generate.main(generate.tyro.cli(generate.Arguments, args=[*args, *SCENES[:-2]])) == 0
+    assert "1 scenes in runs/scenes-part_b-3" in capsys.readouterr().out
+    camera = CameraConfig(width=320, height=240)
+    config = SceneConfig(part="part_b", seed=3, num_parts=(2, 3), sensor="mixed", jitter=False, camera=camera)
+    assert asked == [(config, 1, Path("runs/scenes-part_b-3"), 4)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--part", "teapot"], "part must be one of part_a, part_b, part_c, tee, bracket"),
+        (["--part", "nowhere.stl"], "nowhere.stl"),
+        (["--count", "0"], "count and workers must be at least 1, got 0 and 2"),
+        (["--workers", "0"], "count and workers must be at least 1, got 1000 and 0"),
+        (["--seed", "-1"], "seed must not be negative, got -1"),
+        (["--min-parts", "5", "--max-parts", "4"], "num_parts must be (smallest, largest)"),
+        (["--width", "8"], "the image must be at least 16 x 16"),
+        (["--seed", "2", "--out", "{claimed}"], "another configuration (seed: 0 there, 2 here)"),
+    ],
+)
+def test_generate_scenes_says_a_users_mistake_in_one_line(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    claim_folder(SceneConfig(), tmp_path)
+    generate = load("generate_scenes.py")
+    arguments = [argument.format(claimed=tmp_path) for argument in arguments]
+    out = [] if "--out" in arguments else ["--out", str(tmp_path / "out")]
+    assert generate.main(generate.tyro.cli(generate.Arguments, args=[*arguments, *out])) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
+    assert message in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "message"),
+    [
+        (KeyboardInterrupt(), 130, "finished scenes are kept in {out}: the same command goes on from there"),
+        (SettleError("30 parts do not come to rest"), 2, "error: 30 parts do not come to rest"),
+        (WorkerError("a worker was killed"), 2, "error: a worker was killed"),
+        (OSError("No space left on device"), 2, "error: No space left on device"),
+    ],
+)
+def test_generate_scenes_says_what_stopped_it(
+    fault: BaseException,
+    code: int,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    generate = load("generate_scenes.py")
+
+    def stop(*_: object) -> Iterator[int]:
+        yield 0
+        raise fault
+
+    monkeypatch.setattr(generate, "generate_scenes", stop)
+    assert generate.main(generate.Arguments(out=tmp_path)) == code
+    assert message.format(out=tmp_path) in capsys.readouterr().err
+
+
+JUDGED = ["--min-parts", "2", "--max-parts", "3", "--width", "320", "--height", "240", "--seed", "7"]
+
+
+@pytest.fixture
+def tiny_weights(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.safetensors"
+    save_network(path, GridNet(GridNetConfig(widths=(4, 4, 4, 4, 4), hidden=8, embedding=4)), {"parts": ["tee"]})
+    return path
+
+
+@pytest.mark.slow
+def test_evaluate_segmentation_judges_resumes_and_refuses_another_method(tmp_path: Path, tiny_weights: Path) -> None:
+    out, facts = tmp_path / "run", tmp_path / "new" / "facts.json"
+    common = [*JUDGED, "--weights", str(tiny_weights), "--out", str(out)]
+    done = run("evaluate_segmentation.py", "--count", "2", "--html", "--gallery", "1", *common, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "tee · tiny.safetensors · sensor good · 2 scenes · seed 7" in done.stdout
+    assert "hand-labelled real scenes" in done.stdout.replace("\n", " ")
+    assert (out / "report.html").read_text().count("<h3>Scene") == 1
+    made = (out / "scene_00000.npz").stat().st_mtime_ns
+    arguments = ["--count", "3", "--workers", "1", "--json", str(facts)]
+    done = run("evaluate_segmentation.py", *arguments, *common, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    numbers = json.loads(facts.read_text())
+    assert numbers["scenes"] == 3
+    assert {"ap", "ap50", "ap75", "ap25", "ms_per_scene", "intervals", "by_visible_fraction", "clutter"} <= set(numbers)
+    assert (out / "scene_00000.npz").stat().st_mtime_ns == made
+    done = run("evaluate_segmentation.py", "--method", "euclidean", *common, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "choose another folder with --out" in done.stderr
+
+
+@pytest.mark.slow
+def test_evaluate_segmentation_prints_the_ablation(tmp_path: Path) -> None:
+    out = tmp_path / "ablation"
+    for use, seed in (("training", "0"), ("validation", "1")):
+        make = ["--part", "part_a", "--count", "1", "--seed", seed, "--out", str(out / use), *JUDGED[:-2]]
+        assert run("generate_scenes.py", *make, cwd=tmp_path).returncode == 0
+    given = ["--scenes", str(out / "training"), "--validation", str(out / "validation")]
+    budget = ["--count", "1", "--steps", "1", "--training-seeds", "1", "--workers", "1"]
+    arguments = ["--ablation", "--part", "part_a", *given, *budget, *JUDGED, "--out", str(out)]
+    done = run("evaluate_segmentation.py", *arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for row in ("Euclidean components", "SGPN: PointNet", "DGCNN", "+ focal double hinge", "+ distance mask", "ours"):
+        assert f"\n{row}" in done.stdout
+    numbers = json.loads((out / "results.json").read_text())
+    paper = [row["paper"]["ap50"] if row["paper"] else None for row in numbers["rows"]]
+    assert paper == [None, 0.127, 0.276, 0.461, 0.505, None]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--part", "odd.stl"], "there are no segmentation weights for 'odd': train them with scripts/generate_scenes"),
+        (["--weights", "nowhere.safetensors"], "nowhere.safetensors"),
+        (["--method", "euclidean", "--part", "teapot"], "part must be one of part_a"),
+        (["--method", "euclidean", "--count", "0"], "count and workers must be at least 1, got 0 and 2"),
+        (["--method", "euclidean", "--radius", "0"], "radius must be positive, got 0.0"),
+        (["--ablation", "--seed", "0"], "the training scenes are those of seed 0, which are judged; choose another"),
+    ],
+)
+def test_evaluate_segmentation_says_a_users_mistake_in_one_line(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
+    evaluate = load("evaluate_segmentation.py")
+    out = ["--out", str(tmp_path / "out")]
+    assert evaluate.main(evaluate.tyro.cli(evaluate.Arguments, args=[*arguments, *out])) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
+    assert message in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_evaluate_segmentation_says_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evaluate = load("evaluate_segmentation.py")
+
+    def stop(*_: object, **__: object) -> Iterator[int]:
+        yield 0
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate, "evaluate_scenes", stop)
+    assert evaluate.main(evaluate.Arguments(method="euclidean", out=tmp_path)) == 130
+    assert f"what is finished is kept in {tmp_path}: the same command goes on" in capsys.readouterr().err

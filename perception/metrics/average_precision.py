@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.geometry import Floats
+from perception.geometry import Floats, require_shape
 from perception.metrics.matching import MATCHED_OVERLAPS, OVERLAPS, SceneMatches
 
 CHUNK = 1_000_000  # verdicts times resamples that are counted at once: about 50 MB
@@ -137,9 +137,19 @@ def bootstrap_ap(matches: Sequence[SceneMatches], rng: np.random.Generator, resa
     if scenes < 1 or resamples < 1:
         raise ValueError(f"at least 1 scene and 1 resample are needed, got {scenes} and {resamples}")
     weights = rng.multinomial(scenes, np.full(scenes, 1.0 / scenes), size=resamples).astype(np.float64)
-    four = _mean_of_known(_four(_resampled(matches, MATCHED_OVERLAPS, weights)), axis=1)
-    ap, ap50, ap75, ap25 = (_interval(four[:, k]) for k in range(4))
+    four = weighted_ap(matches, weights)
+    ap, ap50, ap75, ap25 = (percentile_interval(four[:, k]) for k in range(4))
     return ApIntervals(ap=ap, ap50=ap50, ap75=ap75, ap25=ap25)
+
+
+def weighted_ap(matches: Sequence[SceneMatches], weights: Floats) -> Floats:
+    """Return (R, 4) AP, AP50, AP75, AP25 over the classes, scene s counting (R, S) ``weights`` times; NaN if unknown.
+
+    Raises:
+        ValueError: A scene was not matched at all ten overlaps, or the weights are not one a scene.
+    """
+    require_shape("weights", weights, (None, len(matches)))
+    return _mean_of_known(_four(_resampled(matches, MATCHED_OVERLAPS, weights)), axis=1)
 
 
 def precision_recall(matches: Sequence[SceneMatches], overlap: float, label: int = 0) -> PrecisionRecall:
@@ -227,7 +237,8 @@ def _mean_of_known(values: Floats, axis: int) -> Floats:
     return mean
 
 
-def _interval(values: Floats) -> tuple[float, float]:
+def percentile_interval(values: Floats) -> tuple[float, float]:
+    """Return the 95 % interval of the (R,) values that are not NaN, or NaN twice."""
     known = values[~np.isnan(values)]
     if not len(known):
         return np.nan, np.nan

@@ -135,9 +135,17 @@ def object_ious(truth: SceneTruth, instances: Sequence[Instance]) -> Floats:
 
     Note: predictions of every size count, and one may be the best of several true instances.
     """
+    return np.where(truth.sizes() > 0, instance_ious(truth, instances).max(axis=0, initial=0.0), np.nan)
+
+
+def instance_ious(truth: SceneTruth, instances: Sequence[Instance]) -> Floats:
+    """Return the (Q, P) IoU of each instance with each true one of its class; 0 with one of another class.
+
+    Raises:
+        ValueError: An instance names points that the scene has not, or not in ascending order.
+    """
     _require_points(instances, len(truth.instance_ids))
-    _, _, ious = _shared_points(truth, instances)
-    return np.where(truth.sizes() > 0, ious.max(axis=0, initial=0.0), np.nan)
+    return _shared_points(truth, instances)[2]
 
 
 def _take_turns(fits: NDArray[np.bool_], scores: Floats) -> Iterator[tuple[int, float, bool]]:

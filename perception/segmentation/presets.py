@@ -89,7 +89,8 @@ PRESETS: dict[PresetName, TrainingConfig] = {
     "ours": TrainingConfig(
         pairs=PairLossConfig(kind="focal_double_hinge", distance="l2", anchors=256, reach=1.0),
         alpha=AlphaSchedule(kind="constant"),
-        offset_weight=1.0,
+        learning_rate=2e-3,
+        offset_weight=20.0,
         bf16=True,
     ),
 }

@@ -1,14 +1,18 @@
 """What a person sees of a training: a bar with the time left, a line for each evaluation, TensorBoard's curves."""
 
+import logging
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from perception.segmentation.training import StepRecord
 
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
+
+_log = logging.getLogger(__name__)
 EVERY = 20  # steps between points of TensorBoard's curves
 
 
@@ -19,7 +23,7 @@ class TrainingDisplay:
         """Prepare; with ``tensorboard``, events go into ``out``."""
         shape = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
         self._bar = tqdm(total=100, unit="%", disable=not leader, bar_format=shape)
-        self._writer = SummaryWriter(str(out)) if tensorboard and leader else None
+        self._writer = _writer(out) if tensorboard and leader else None
 
     def __enter__(self) -> "TrainingDisplay":
         return self
@@ -52,3 +56,13 @@ class TrainingDisplay:
         if self._writer is not None:
             for name, value in found.items():
                 self._writer.add_scalar(f"validation/{name}", value, line["step"])
+
+
+def _writer(out: Path) -> "SummaryWriter | None":
+    """Return TensorBoard's writer; without the package, which an extra installs, there are no curves."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ModuleNotFoundError:
+        _log.warning("no TensorBoard curves: they need the extra 'learn' (pip install -e '.[learn]')")
+        return None
+    return SummaryWriter(str(out))

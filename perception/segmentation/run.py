@@ -18,7 +18,7 @@ from perception.segmentation.predictor import PredictorConfig, SegmentationPredi
 from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.scoring import score_scene
 from perception.segmentation.training import StepRecord, Trainer
-from perception.segmentation.weights import Network, save_network
+from perception.segmentation.weights import Network, load_network, load_record, save_network
 
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"
@@ -32,6 +32,7 @@ class RunConfig:
     Attributes:
         out: Folder of checkpoint, log and weights.
         parts: Names of the parts that the network is for.
+        initial: Weights that the training starts from; None for random ones.
         evaluate_every: Minutes of training between evaluations.
         save_every: Minutes of training between checkpoints.
         leader: Whether this process writes; one of several that train together does.
@@ -39,6 +40,7 @@ class RunConfig:
 
     out: Path
     parts: tuple[str, ...]
+    initial: Path | None = None
     evaluate_every: float = 10.0
     save_every: float = 2.0
     leader: bool = True
@@ -55,13 +57,17 @@ Log = dict[str, Any]
 
 
 def resume(trainer: Trainer, config: RunConfig) -> bool:
-    """Go on from the folder's checkpoint; return whether there was one.
+    """Go on from the folder's checkpoint; return whether there was one. Without, take the initial weights, if any.
 
     Raises:
         CheckpointError: It is damaged, or of another training.
+        WeightsError: The initial weights are missing or damaged.
+        TrainingError: They are of another network.
     """
     path = config.out / CHECKPOINT
     if not path.exists():
+        if config.initial is not None:
+            trainer.start_from(load_network(config.initial))
         return False
     load_checkpoint(path, trainer)
     return True
@@ -122,6 +128,7 @@ def training_record(trainer: Trainer, config: RunConfig, last: Log) -> Log:
         "minutes": trainer.elapsed / 60,
         "scenes": len(trainer.batches.scenes),
         "epochs": trainer.epoch,
+        "initial": None if config.initial is None else load_record(config.initial),
         "validation": last.get("validation"),
         "git_commit": git_commit(),
         "command": command_line(),

@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from perception.geometry import Floats
 from perception.metrics.matching import SceneMatches, SceneTruth, match_scene
 from perception.segmentation.instance import Instance
 from perception.segmentation.scene import BoundaryScene
@@ -13,9 +15,15 @@ COUNTED_FROM = 0.1  # visible_fraction from which a part counts; hits on the oth
 
 def scene_truth(scene: BoundaryScene, visible: tuple[float, float] = (COUNTED_FROM, np.inf)) -> SceneTruth:
     """Return the ground truth; parts with a visible fraction outside [low, high) are ignored, container points void."""
-    fractions = scene.visible_fractions
+    return truth_of(scene.instance_ids, scene.visible_fractions, visible)
+
+
+def truth_of(
+    instance_ids: NDArray[np.int64], fractions: Floats, visible: tuple[float, float] = (COUNTED_FROM, np.inf)
+) -> SceneTruth:
+    """Return the ground truth of (N,) points' parts and (P,) visible fractions; see `scene_truth`."""
     return SceneTruth(
-        instance_ids=scene.instance_ids,
+        instance_ids=instance_ids,
         class_of_instance=np.zeros(len(fractions), np.int64),
         ignored=(fractions < visible[0]) | (fractions >= visible[1]),
     )

@@ -37,7 +37,7 @@ class Surface:
 
 
 def coarse_surface(frame: Frame, workspace: Workspace, d_max: float) -> Surface:
-    """Return the nearest surface over the bin's part of the image, in cells of about ``d_max / 80``.
+    """Return the nearest surface over the bin's part of the image, in cells of about ``d_max / 80``, or of a pixel.
 
     Args:
         frame: One exposure.
@@ -45,10 +45,15 @@ def coarse_surface(frame: Frame, workspace: Workspace, d_max: float) -> Surface:
         d_max: The part's largest extent [m].
 
     Raises:
-        ValueError: ``d_max`` is not positive, or so small that a cell would be under half a pixel.
+        ValueError: ``d_max`` is not positive, too large for the bin, or so small that a cell is under half a pixel.
     """
     if not d_max > 0:
         raise ValueError(f"d_max must be positive, got {d_max}")
+    if d_max > np.linalg.norm(workspace.inner_size):
+        raise ValueError(
+            f"a part of d_max {1000 * d_max:.0f} mm does not fit into a bin of {workspace.inner_size.tolist()} m "
+            "(is its model in metres?)"
+        )
     size = (frame.depth.shape[1], frame.depth.shape[0])
     u0, v0, u1, v1 = bin_region(workspace, frame.K, frame.T_world_cam, size, margin=0.0, headroom=HEADROOM).tolist()
     floor = workspace.T_world_bin[:3, 3]
@@ -59,6 +64,7 @@ def coarse_surface(frame: Frame, workspace: Workspace, d_max: float) -> Surface:
             f"a part of d_max {1000 * d_max:.1f} mm is {cell * CELLS_PER_D_MAX:.0f} px long at the bin's floor; "
             f"at least {CELLS_PER_D_MAX // 2} px are needed (is its model in metres?)"
         )
+    cell = max(cell, 1.0)  # a smaller one may hold no pixel at all
     shape = (int(np.ceil((v1 - v0) / cell)), int(np.ceil((u1 - u0) / cell)))
     depth = _kernels.nearest_surface(frame.depth, u0, v0, cell, shape, STEP)
     return Surface(depth=depth, u0=float(u0), v0=float(v0), cell=cell)

@@ -94,6 +94,17 @@ class Trainer:
         if torch.distributed.is_available() and torch.distributed.is_initialized():
             self._parallel = nn.parallel.DistributedDataParallel(self.network)
 
+    def start_from(self, network: Network) -> None:
+        """Take over the weights of another training, of the same network, as this one's first.
+
+        Raises:
+            TrainingError: It is another network.
+        """
+        if network.config != self.network.config:
+            raise TrainingError(f"the first weights are of {network.config}, this training is of {self.network.config}")
+        self.network.load_state_dict(network.state_dict())
+        self.averaged.load_state_dict(network.state_dict())
+
     def run(self) -> Iterator[StepRecord]:
         """Train to the end, yielding after each step; the batch after is made meanwhile."""
         with ThreadPoolExecutor(1) as ahead:
@@ -164,10 +175,9 @@ class Trainer:
                 config.confidence_weight,
                 confidence_loss(outputs.confidence_BN.float(), embedding, ids, config.pairs, generator=chance),
             ),
+            # 0 with one class, as in a bin of one part; the classes are then all 0.
+            "semantics": (config.semantic_weight, semantic_loss(outputs.semantics_BNS.float(), ids.clamp(max=0))),
         }
-        if outputs.semantics_BNS.shape[-1] > 1:
-            classes = ids.clamp(max=0)
-            terms["semantics"] = (config.semantic_weight, semantic_loss(outputs.semantics_BNS.float(), classes))
         if outputs.offsets_BN3 is not None:
             terms["offsets"] = (config.offset_weight, offset_loss(outputs.offsets_BN3, batch.offsets_BN3, ids))
         return terms

@@ -97,12 +97,13 @@ def find_weights(part: str) -> Path:
         WeightsError: There are none; the text names the commands that make them.
     """
     own = user_folder()
-    for path in (own / f"{part}.safetensors", SHIPPED / f"{part}.safetensors"):
-        if path.exists():
-            return path
-    shared = SHIPPED / f"{SHARED}.safetensors"
-    if shared.exists() and part in load_record(shared).get("parts", []):
-        return shared
+    for folder in (own, SHIPPED):
+        if (folder / f"{part}.safetensors").exists():
+            return folder / f"{part}.safetensors"
+    for folder in (own, SHIPPED):
+        shared = folder / f"{SHARED}.safetensors"
+        if shared.exists() and part in load_record(shared).get("parts", []):
+            return shared
     raise WeightsError(
         f"there are no segmentation weights for {part!r}: train them with scripts/generate_scenes.py --part {part} and "
         f"scripts/train_segmentation.py --part {part}, which puts them into {own}"

@@ -4,19 +4,20 @@ import numpy as np
 
 
 def foreground_pixels(pixels, depth, radius, widest, step):
-    """Return (N, 2): the pixel of the nearest surface, by sorting all candidates of the first window that has any."""
+    """Return (N, 2): the pixel of the nearest surface, by sorting all candidates of the first whole window."""
     height, width = depth.shape
     chosen = []
     for u0, v0 in pixels:
         best = (-1, -1)
         for r in range(radius, widest + 1):
-            seen = [
+            window = [
                 (float(depth[v, u]), v, u)
                 for v in range(v0 - r, v0 + r + 1)
                 for u in range(u0 - r, u0 + r + 1)
-                if 0 <= v < height and 0 <= u < width and depth[v, u] > 0
+                if 0 <= v < height and 0 <= u < width
             ]
-            if seen:
+            seen = [p for p in window if p[0] > 0]
+            if seen and (len(seen) == len(window) or r == widest):
                 front = [p for p in seen if p[0] <= min(seen)[0] + step]
                 _, v, u = min(front, key=lambda p: ((p[2] - u0) ** 2 + (p[1] - v0) ** 2, p[0], p[1], p[2]))
                 best = (u, v)
@@ -60,7 +61,7 @@ def nearest_surface(depth, u0, v0, cell, shape, step):
                 float(depth[v, u])
                 for v in range(max(v0, 0), depth.shape[0])
                 for u in range(max(u0, 0), depth.shape[1])
-                if r <= (v - v0) / cell < r + 1 and c <= (u - u0) / cell < c + 1 and depth[v, u] > 0
+                if r <= (v - v0 + 0.5) / cell < r + 1 and c <= (u - u0 + 0.5) / cell < c + 1 and depth[v, u] > 0
             ]
             front = [z for z in inside if z <= min(inside) + step]
             out[r, c] = np.mean(front) if front else 0.0

@@ -250,7 +250,7 @@ def test_a_changed_part_file_is_another_configuration(tmp_path: Path) -> None:
     claim_folder(config, tmp_path / "scenes")
     claim_folder(config, tmp_path / "scenes")
     trimesh.creation.box((0.05, 0.04, 0.03)).export(path)
-    with pytest.raises(ValueError, match="another configuration .file: [0-9a-f]{64} there, [0-9a-f]{64} here.;"):
+    with pytest.raises(ValueError, match=r"another configuration .file: [0-9a-f]{64} there, [0-9a-f]{64} here.;"):
         claim_folder(config, tmp_path / "scenes")
 
 

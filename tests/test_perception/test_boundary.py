@@ -274,8 +274,8 @@ def test_every_setting_counts() -> None:
     frame, workspace = clutter(3)
     first = extract_boundary(frame, workspace)
     changes: list[dict[str, Any]] = [
-        {"low": 400.0, "high": 400.0}, {"blur": 0.0}, {"radius": 0}, {"radius": 6}, {"step": 0.02},
-        {"widest": 2, "radius": 0}, {"window": 3}, {"margin": 0.03}, {"headroom": 0.0, "margin": 0.02},
+        {"low": 400.0, "high": 400.0}, {"blur": 0.0}, {"radius": 0, "widest": 0}, {"radius": 8, "widest": 8},
+        {"step": 0.02}, {"widest": 2, "radius": 0}, {"window": 3}, {"margin": 0.03}, {"headroom": 0.0, "margin": 0.02},
     ]  # fmt: skip
     for change in changes:
         other = extract_boundary(frame, workspace, BoundarySettings(**change))

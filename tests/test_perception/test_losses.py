@@ -226,14 +226,16 @@ def test_anchor_probabilities():
 def test_every_instance_is_seen_and_void_never():
     ids = torch.tensor([[0] * 60 + [1] * 30 + [2] + [3] + [-1] * 20])
     generator = torch.Generator().manual_seed(0)
-    seen = set()
+    seen, gaps = set(), []
     for _ in range(50):
         index, weight = losses._draw_anchors(ids, 6, generator)
         assert set(ids[0, index[0]].tolist()) == {0, 1, 2, 3}
         assert (weight > 0).all()
         assert len(set(index[0].tolist())) == 6
         seen |= set(index[0].tolist())
-    assert len(seen) > 80  # at random within an instance
+        gaps.append(index[index < 60].sort().values.diff().min().item())
+    assert len(seen) > 80
+    assert min(gaps) < 5  # at random within an instance: in the points' order anchors would lie 25 apart
 
 
 def test_draws_follow_the_generator():

@@ -279,6 +279,12 @@ def test_similarity_matrix_of_a_right_triangle() -> None:
     torch.testing.assert_close(similarity_matrix(embedding[None], "scaled_square"), 10 * lengths[None].square())
 
 
+def test_similarity_of_near_points_far_from_the_origin_does_not_cancel() -> None:
+    embedding = 300.0 + cloud_batch(1, 40, 5) / 100
+    exact = torch.cdist(embedding.double(), embedding.double()).float()
+    torch.testing.assert_close(similarity_matrix(embedding), exact, atol=1e-6, rtol=1e-5)
+
+
 @pytest.mark.parametrize("distance", ["l2", "scaled_square"])
 def test_similarity_of_coinciding_points_is_zero_with_a_finite_gradient(distance: str) -> None:
     embedding = cloud_batch(1, 1, 5).expand(1, 40, 5).clone().add_(100.0).requires_grad_()

@@ -25,6 +25,12 @@ def test_a_cell_is_an_eightieth_of_the_part_on_the_floor() -> None:
     assert surface.depth.dtype == np.float32
 
 
+def test_in_a_small_image_a_cell_is_a_pixel_and_none_is_empty() -> None:
+    surface = coarse_surface(look(WORKSPACE, STRAIGHT, FLOOR), WORKSPACE, 0.1)
+    assert surface.cell == 1.0
+    np.testing.assert_allclose(surface.depth, 0.9, atol=1e-6)
+
+
 def test_the_cells_cover_the_bin() -> None:
     T_world_cam = camera_over(WORKSPACE, TILTED)
     surface = coarse_surface(look(WORKSPACE, T_world_cam, FLOOR), WORKSPACE, D_MAX)
@@ -66,7 +72,7 @@ def test_where_nothing_was_measured_is_zero() -> None:
 
 def test_a_bin_out_of_view_has_no_cells() -> None:
     beside = replace(WORKSPACE, T_world_bin=make_transform(translation=(5.0, 0.0, 0.0)) @ WORKSPACE.T_world_bin)
-    assert coarse_surface(look(WORKSPACE, STRAIGHT, FLOOR), beside, 1.0).depth.size == 0
+    assert coarse_surface(look(WORKSPACE, STRAIGHT, FLOOR), beside, 0.4).depth.size == 0
 
 
 @settings(deadline=None, max_examples=60)
@@ -93,6 +99,8 @@ def test_nonsense_is_refused() -> None:
     text = r"a part of d_max 0\.1 mm is 0 px long at the bin's floor; at least 40 px are needed \(is its model"
     with pytest.raises(ValueError, match=text):
         coarse_surface(frame, WORKSPACE, 0.0001)
+    with pytest.raises(ValueError, match=r"a part of d_max 92000 mm does not fit into a bin of .* metres\?\)"):
+        coarse_surface(frame, WORKSPACE, 92.0)
     with pytest.raises(ValueError, match=r"depth must be \(N, N\), got \(3,\)"):
         Surface(depth=np.zeros(3, np.float32), u0=0.0, v0=0.0, cell=1.0)
     for cell in (0.0, np.nan):

@@ -19,7 +19,7 @@ def killed_cell(config: EvaluationConfig) -> Cell:
 
 def test_a_killed_worker_is_said_in_plain_words(tmp_path: Path) -> None:
     job = Job(out=tmp_path, bins=3, workers=2, pictures=False)
-    with pytest.raises(BinError, match="^a worker was killed, perhaps for want of memory; try fewer workers$"):
+    with pytest.raises(BinError, match=r"^a worker was killed, perhaps for want of memory; try fewer workers$"):
         run_job(EvaluationConfig(num_parts=(6, 6)), job, make_cell=killed_cell)
     assert list(tmp_path.glob("bin_*.json")) == []
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from fake_cell import abstain, attempt, bin_result, frame, grasp
 
+from binpick_env.report_style import tile
 from policies.evaluation import EvaluationConfig
 from policies.outcomes import GraspOutcome, PickResult
 from policies.pictures import CROP_PX, Album, grasp_picture
 from policies.records import BinRecord
 from policies.report import GALLERY_LIMIT, write_report
-from policies.report_style import tile
 from policies.summary import summarise
 
 CONFIG = EvaluationConfig(part="odd <&> name.stl")

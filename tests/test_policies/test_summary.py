@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 from fake_cell import abstain, attempt, bin_result
 
+from binpick_env.text_tables import columns
+from perception.files import json_text
 from policies.evaluation import EvaluationConfig
 from policies.outcomes import Abstention, GraspOutcome, PickResult
-from perception.files import json_text
 from policies.records import BinRecord
 from policies.statistics import wilson_interval
 from policies.summary import Summary, summarise
-from policies.tables import columns, result_table
+from policies.tables import result_table
 
 CONFIG = EvaluationConfig()
 DELIVERED, MISSED = GraspOutcome.DELIVERED, GraspOutcome.MISSED

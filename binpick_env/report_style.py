@@ -1,4 +1,4 @@
-"""The report's look: its style sheet and the few HTML pieces that it is put together from. No network, no scripts."""
+"""The reports' look: their style sheet and the few HTML pieces they are put together from. No network, no scripts."""
 
 import base64
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ CSS = """
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink);
   font: 15px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
-main { max-width: 1120px; margin: 0 auto; padding: 32px 24px 64px; }
+main { max-width: 1120px; margin: 0 auto; padding: 32px 24px 64px; } main.wide { max-width: 1800px; }
 h1 { font-size: 26px; margin: 0; letter-spacing: -.01em; }
 h2 { font-size: 18px; margin: 40px 0 12px; }
 p, figcaption, .soft { color: var(--soft); } p { margin: 4px 0; max-width: 80ch; }
@@ -39,6 +39,12 @@ td.n, th.n { text-align: right; } tr:last-child td { border-bottom: 0; }
 figure { margin: 0; } figure img { width: 100%; display: block; border-radius: 8px; }
 figcaption { font-size: 12.5px; margin-top: 5px; }
 .gallery { grid-template-columns: repeat(auto-fill, minmax(200px, 1fr)); }
+.four { grid-template-columns: repeat(auto-fit, minmax(260px, 1fr)); }
+svg { display: block; width: 100%; max-width: 460px; } svg text { fill: var(--soft); font-size: 12px; }
+svg polyline { fill: none; stroke-width: 2; } svg .axis { stroke: var(--line); stroke-width: 1; }
+.line-0 { stroke: var(--accent); } .line-1 { stroke: var(--good); } .line-2 { stroke: var(--idle); }
+svg text.line-0 { fill: var(--accent); stroke: none; } svg text.line-1 { fill: var(--good); stroke: none; }
+svg text.line-2 { fill: var(--idle); stroke: none; }
 details { margin-top: 10px; } summary { cursor: pointer; color: var(--accent); font-size: 13.5px; }
 .strip { display: flex; flex-wrap: wrap; gap: 3px; margin: 10px 0 2px; }
 .strip i { width: 15px; height: 15px; border-radius: 4px; }
@@ -48,11 +54,12 @@ h3 { font-size: 15px; margin: 16px 0 8px; } h3:first-child { margin-top: 0; }
 """
 
 
-def page(title: str, body: str) -> str:
-    """Return a whole HTML document."""
+def page(title: str, body: str, wide: bool = False) -> str:
+    """Return a whole HTML document; ``wide`` for rows of pictures."""
     head = f"<meta charset='utf-8'><meta name='viewport' content='width=device-width'><title>{escape(title)}</title>"
     head += f"<style>{CSS}</style>"
-    return f"<!doctype html><html lang='en'><head>{head}</head><body><main>{body}</main></body></html>\n"
+    main = f"<main{' class=wide' if wide else ''}>{body}</main>"
+    return f"<!doctype html><html lang='en'><head>{head}</head><body>{main}</body></html>\n"
 
 
 def tile(name: str, value: str, note: str, bounds: tuple[float, float, float] | None = None) -> str:
@@ -98,5 +105,34 @@ def figure(path: Path, caption: str) -> str:
     """Return a picture with its bytes inside, or a note where the file is gone."""
     if not path.is_file():
         return f"<figure><p>no picture</p><figcaption>{caption}</figcaption></figure>"
-    data = base64.b64encode(path.read_bytes()).decode()
-    return f"<figure><img alt='' src='data:image/jpeg;base64,{data}'><figcaption>{caption}</figcaption></figure>"
+    return inline_figure(path.read_bytes(), "jpeg", caption)
+
+
+def inline_figure(data: bytes, kind: str, caption: str) -> str:
+    """Return a picture whose bytes are those of a ``jpeg`` or ``png`` file."""
+    source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+    return f"<figure><img alt='' src='{source}'><figcaption>{caption}</figcaption></figure>"
+
+
+def curves(lines: Sequence[tuple[str, Sequence[tuple[float, float]]]], across: str, up: str) -> str:
+    """Return a drawing of up to three named curves of (x, y) in [0, 1], with its axes' names."""
+    left, top, size = 44, 12, 340
+
+    def at(x: float, y: float) -> str:
+        return f"{left + size * x:.1f},{top + size * (1 - y):.1f}"
+
+    drawn = []
+    for tick in (0.0, 0.25, 0.5, 0.75, 1.0):
+        for start, end in ((at(tick, 0), at(tick, 1)), (at(0, tick), at(1, tick))):
+            drawn.append(f"<polyline class='axis' points='{start} {end}'/>")
+        x, y = left + size * tick, top + size * (1 - tick)
+        drawn.append(f"<text x='{x:.0f}' y='{top + size + 17}' text-anchor='middle'>{tick:g}</text>")
+        drawn.append(f"<text x='{left - 7}' y='{y + 4:.0f}' text-anchor='end'>{tick:g}</text>")
+    for k, (name, points) in enumerate(lines):
+        drawn.append(f"<polyline class='line-{k}' points='{' '.join(at(*point) for point in points)}'/>")
+        drawn.append(f"<text class='line-{k}' x='{left + 10}' y='{top + size - 12 - 17 * k}'>{escape(name)}</text>")
+    middle = left + size // 2
+    drawn.append(f"<text x='{middle}' y='{top + size + 36}' text-anchor='middle'>{escape(across)}</text>")
+    turned = f"transform='rotate(-90 12 {top + size // 2})'"
+    drawn.append(f"<text x='12' y='{top + size // 2}' text-anchor='middle' {turned}>{escape(up)}</text>")
+    return f"<svg viewBox='0 0 {left + size + 16} {top + size + 44}'>{''.join(drawn)}</svg>"
