@@ -66,7 +66,7 @@ class PackedScene:
         )
 
 
-def load_packed(paths: Sequence[Path], progress: Callable[[], None] | None = None) -> list[PackedScene]:
+def load_packed(paths: Sequence[Path], progress: Callable[[], object] | None = None) -> list[PackedScene]:
     """Read scenes into memory, about 0.9 MB each; a damaged file is left out with a warning.
 
     Raises:
