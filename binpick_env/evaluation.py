@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import torch
 
+from binpick_env.boundary_quality import wrong_side
 from binpick_env.config import CellConfig
 from binpick_env.folder_claim import claim
 from binpick_env.parts import load_part
@@ -104,6 +105,7 @@ def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, pictu
             _segment(method, capture.frame, scene.d_max)
             method.warm = True
         instances, ms = _segment(method, capture.frame, scene.d_max)
+    wrong, contour = wrong_side(capture, scene.boundary)
     u0, v0, u1, v1 = capture.region if picture else (0, 0, 0, 0)
     return SceneRecord(
         labels=labels_of(instances, len(scene.boundary)),
@@ -113,6 +115,8 @@ def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, pictu
         pixels=scene.boundary.pixels,
         picture=capture.frame.grey[v0:v1, u0:u1],
         corner=(u0, v0),
+        wrong_side=wrong,
+        contour=contour,
         ms=ms,
         threads=threads,
         git_commit=git_commit(),

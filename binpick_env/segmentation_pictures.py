@@ -44,6 +44,16 @@ def scene_panels(record: SceneRecord) -> list[Panel]:
     return panels
 
 
+def side_by_side(record: SceneRecord) -> Colours:
+    """Return image, truth and prediction in a row, (h, w, 3) RGB; the image is left out where none was kept."""
+    pictures = [_scatter(record, colours) for colours in (truth_colours(record), prediction_colours(record))]
+    if record.picture.size:
+        size = (pictures[0].shape[1], pictures[0].shape[0])
+        small = cv2.resize(record.picture, size, interpolation=cv2.INTER_AREA)
+        pictures.insert(0, np.repeat(small[:, :, None], 3, axis=2))
+    return np.ascontiguousarray(np.hstack(pictures)[:, :, ::-1])
+
+
 def truth_colours(record: SceneRecord) -> Colours:
     """Return (N, 3) BGR: a colour for each part that counts, grey for the others and the container."""
     table = np.vstack([part_colours(len(record.visible_fractions)), [_UNCOUNTED]]).astype(np.uint8)

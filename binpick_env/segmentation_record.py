@@ -34,6 +34,8 @@ class SceneRecord:
         pixels: (N, 2) int64 pixel (u, v) of each point.
         picture: (h, w) uint8 grey image around the bin; (0, 0) if none was kept.
         corner: Column and row of its first pixel in the camera's image.
+        wrong_side: Points on the wrong side of a contour, see :func:`binpick_env.boundary_quality.wrong_side`.
+        contour: Points at contours.
         ms: Wall clock of each of `STAGES` [ms].
         threads: That computed at the same time.
         git_commit: Of the code that made it, "" outside of a checkout.
@@ -46,6 +48,8 @@ class SceneRecord:
     pixels: NDArray[np.int64]
     picture: NDArray[np.uint8]
     corner: tuple[int, int]
+    wrong_side: int
+    contour: int
     ms: dict[str, float]
     threads: int
     git_commit: str
@@ -87,6 +91,7 @@ class SceneRecord:
             "pixels": self.pixels.astype(np.int16),
             "picture": self.picture,
             "corner": np.array(self.corner, np.int64),
+            "contour": np.array([self.wrong_side, self.contour], np.int64),
             "ms": np.array([self.ms[name] for name in STAGES]),
             "threads": np.int64(self.threads),
             "git_commit": np.str_(self.git_commit),
@@ -118,6 +123,8 @@ class SceneRecord:
                 pixels=a["pixels"].astype(np.int64),
                 picture=a["picture"],
                 corner=(int(a["corner"][0]), int(a["corner"][1])),
+                wrong_side=int(a["contour"][0]),
+                contour=int(a["contour"][1]),
                 ms=dict(zip(STAGES, a["ms"].tolist(), strict=True)),
                 threads=int(a["threads"]),
                 git_commit=str(a["git_commit"]),

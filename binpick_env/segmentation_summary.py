@@ -35,6 +35,8 @@ class SceneScore:
         bands: The same where only the parts of one of `BANDS` count.
         ap: Of the scene alone; NaN without a part to find.
         points: Boundary points.
+        wrong_side: Of these, on the wrong side of a contour.
+        contour: Of these, at contours.
         clutter: How hidden the parts are.
         ms: Wall clock by stage [ms].
         threads: That computed.
@@ -46,6 +48,8 @@ class SceneScore:
     bands: tuple[SceneMatches, ...]
     ap: float
     points: int
+    wrong_side: int
+    contour: int
     clutter: ClutterStats
     ms: dict[str, float]
     threads: int
@@ -61,6 +65,8 @@ class SceneScore:
             bands=tuple(record.matches(band) for band in BANDS),
             ap=ap_summary([matches]).ap,
             points=len(record.labels),
+            wrong_side=record.wrong_side,
+            contour=record.contour,
             clutter=record.clutter,
             ms=record.ms,
             threads=record.threads,
@@ -106,6 +112,8 @@ class SegmentationSummary:
         clutter: median (mean of the scenes' medians), below_half and above_nine_tenths (shares of all parts), parts.
         scenes: Number of scenes.
         points_per_scene: Median number of boundary points, all of which are labelled and scored.
+        wrong_side: Share of all boundary points that lie on the wrong side of a contour.
+        wrong_side_at_contours: Share of those at contours that do.
         part: What was in the bins.
         sensor: The depth camera's noise.
         seed: Of the scenes.
@@ -131,6 +139,8 @@ class SegmentationSummary:
     clutter: dict[str, float | None]
     scenes: int
     points_per_scene: float
+    wrong_side: float
+    wrong_side_at_contours: float
     part: str
     sensor: str
     seed: int
@@ -187,6 +197,10 @@ def summarise(
         clutter=pooled_clutter([score.clutter for score in scores]),
         scenes=len(scores),
         points_per_scene=float(np.median([score.points for score in scores])),
+        wrong_side=_quotient(sum(score.wrong_side for score in scores), sum(score.points for score in scores)),
+        wrong_side_at_contours=_quotient(
+            sum(score.wrong_side for score in scores), sum(score.contour for score in scores)
+        ),
         part=config.scenes.part,
         sensor=config.scenes.sensor,
         seed=config.scenes.seed,
@@ -209,6 +223,10 @@ def weights_facts(method: MethodConfig) -> dict[str, Any] | None:
     record = load_record(method.weights)
     made = {name: record.get(name) for name in ("git_commit", "parts", "steps", "minutes", "scenes")}
     return {"path": str(method.weights), "sha256": method.digest(), **made}
+
+
+def _quotient(count: int, total: int) -> float:
+    return count / total if total else np.nan
 
 
 def _band(low: float, high: float, matches: Sequence[SceneMatches]) -> BandSummary:

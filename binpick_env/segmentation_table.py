@@ -66,7 +66,8 @@ def _facts(summary: SegmentationSummary) -> list[str]:
         f"a scene       {summary.ms_per_scene:.0f} ms from frame to labels on {threads} "
         f"thread{'s' * (summary.threads != [1])}: boundary {ms['boundary']:.0f}, surface {ms['surface']:.0f}, "
         f"network and grouping {ms['segmentation']:.0f}",
-        f"points        {summary.points_per_scene:.0f} a scene, all of them labelled and scored",
+        f"points        {summary.points_per_scene:.0f} a scene, all of them labelled and scored; "
+        f"{share(summary.wrong_side)} % on the wrong side of a contour",
         f"clutter       visible fraction: median {number(c['median'], 2)}, "
         f"{percent(c['below_half'])} of parts under 0.5, {percent(c['above_nine_tenths'])} over 0.9",
     ]

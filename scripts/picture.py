@@ -1,35 +1,58 @@
-"""Make a picture of a settled bin with the arm over it."""
+"""Make the README's pictures: a settled bin with the arm over it, or a frame and how it is segmented."""
 
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
+import numpy as np
 import tyro
+from numpy.typing import NDArray
 
 from policies.portrait import portrait, save_png
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Make a picture of a settled bin with the arm over it. No GL driver is needed."""
+    """Make a picture of a settled bin with the arm over it, or of a frame and how it is segmented.
 
+    No GL driver is needed.
+    """
+
+    show: Literal["cell", "segmentation"] = "cell"  # segmentation: image, true parts, predicted parts
     part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
     seed: int = 0  # of the pile
-    width: int = 1200  # of the picture [px]
+    width: int = 1200  # of the picture of the cell [px]
     height: int = 800  # [px]
-    out: Path = Path("docs/cell.png")  # the PNG file
+    out: Path | None = None  # the PNG file; docs/cell.png or docs/segmentation.png unless given
 
 
 def main(args: Arguments) -> int:
     """Make the picture; return the exit code."""
     try:
-        picture = portrait(args.part, args.seed, args.width, args.height)
+        if args.show == "cell":
+            picture = portrait(args.part, args.seed, args.width, args.height)
+        else:
+            picture = _segmentation(args.part, args.seed)
     except (ValueError, OSError, RuntimeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    save_png(picture, args.out)
-    print(f"picture   {args.out}")
+    out = args.out or Path("docs") / f"{args.show}.png"
+    save_png(picture, out)
+    print(f"picture   {out}")
     return 0
+
+
+def _segmentation(part: str, seed: int) -> NDArray[np.uint8]:
+    # torch takes seconds to import
+    from binpick_env.evaluation import EvaluationConfig, evaluate_scene
+    from binpick_env.segmentation_method import MethodConfig
+    from binpick_env.segmentation_pictures import side_by_side
+    from binpick_env.synthesis import SceneConfig
+    from perception.segmentation.weights import find_weights
+
+    method = MethodConfig(weights=find_weights(Path(part).stem))
+    return side_by_side(evaluate_scene(EvaluationConfig(scenes=SceneConfig(part=part, seed=seed), method=method), 0))
 
 
 if __name__ == "__main__":

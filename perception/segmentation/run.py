@@ -93,6 +93,7 @@ def train(
         TrainingError: The training diverged; the last checkpoint stays.
         KeyboardInterrupt: The state is saved first.
     """
+    git_commit()  # asked for once: that of the code that trains, whatever is committed meanwhile
     saved = evaluated = trainer.elapsed
     losses: list[dict[str, float]] = []
     try:

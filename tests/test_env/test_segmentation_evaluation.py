@@ -331,9 +331,11 @@ def test_the_numbers_have_the_keys_of_the_contract(judged: tuple[Path, Evaluatio
     assert {
         "ap", "ap50", "ap75", "ap25", "ms_per_scene", "intervals", "by_visible_fraction", "clutter", "ms", "scenes",
         "seed", "sensor", "part", "points_per_scene", "weights", "versions", "git_commits",
+        "wrong_side", "wrong_side_at_contours",
     } <= set(values)  # fmt: skip
     assert set(values["intervals"]) == {"ap", "ap50", "ap75", "ap25"}
     assert set(values["ms"]) == set(STAGES)
+    assert 0 <= values["wrong_side"] <= values["wrong_side_at_contours"] < 0.5
     assert values["ms_per_scene"] == values["ms"]["total"]
     assert {"median", "below_half", "above_nine_tenths"} <= set(values["clutter"])
     assert values["weights"]["git_commit"] == "abc"
