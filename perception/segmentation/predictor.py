@@ -16,6 +16,7 @@ from perception.segmentation.grid_net import GridInputs, GridNet
 from perception.segmentation.grouping import GroupingConfig, group_points
 from perception.segmentation.instance import Instance, instances_of
 from perception.segmentation.output import PointOutputs
+from perception.segmentation.precision import half_precision
 from perception.segmentation.surface import Surface
 from perception.segmentation.weights import Network, find_weights, load_network
 
@@ -30,7 +31,7 @@ class PredictorConfig:
     Attributes:
         grouping: Of the points by their embedding.
         subset: Points that a network over point sets (the paper's) sees at once; the image-plane network sees all.
-        bf16: Run the trunk in bfloat16 where the processor knows it.
+        bf16: Run the image-plane network's trunk in bfloat16; the others' graphs need full precision.
         seed: Of the subsets; the same cloud is always divided the same way.
     """
 
@@ -122,10 +123,11 @@ class SegmentationPredictor:
 
     def describe(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> PointPredictions:
         """Return the network's outputs for all points of a cloud that is not empty."""
-        with torch.inference_mode(), torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
-            if isinstance(self.network, GridNet):
+        with torch.inference_mode():
+            if not isinstance(self.network, GridNet):
+                return self._subsets(boundary.points_cam, d_max)
+            with half_precision(self.device, self.config.bf16):
                 return self._whole(boundary, surface, d_max)
-            return self._subsets(boundary.points_cam, d_max)
 
     def _whole(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> PointPredictions:
         points = boundary.points_cam
@@ -136,15 +138,10 @@ class SegmentationPredictor:
         return _predictions(self.network(inputs))
 
     def _subsets(self, points: Floats, d_max: float) -> PointPredictions:
-        count = len(points)
-        pieces = -(-count // self.config.subset)
-        order = np.random.default_rng(self.config.seed).permutation(count)
-        # Every piece is filled up to the same density, at which the network was trained.
-        size = -(-count // pieces)
-        found: list[PointPredictions] = []
+        order = np.random.default_rng(self.config.seed).permutation(len(points))
         coordinates = centred(points, d_max)
-        for piece in range(pieces):
-            chosen = order[piece * size : (piece + 1) * size]
+        found: list[PointPredictions] = []
+        for chosen in np.array_split(order, -(-len(points) // self.config.subset)):
             inputs = torch.from_numpy(coordinates[chosen])[None].to(self.device)
             found.append(_predictions(self.network(inputs)))
         back = np.argsort(order)

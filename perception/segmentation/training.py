@@ -4,9 +4,7 @@ import math
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -15,6 +13,7 @@ from perception.segmentation.dataset import Batch, BatchMaker
 from perception.segmentation.grid_net import GridNet
 from perception.segmentation.losses import confidence_loss, offset_loss, pair_loss, semantic_loss
 from perception.segmentation.output import PointOutputs
+from perception.segmentation.precision import half_precision
 from perception.segmentation.presets import TrainingConfig
 from perception.segmentation.weights import Network, build_network
 
@@ -143,7 +142,7 @@ class Trainer:
             group["lr"] = rate
         self.network.train()
         batch = to_device(batch, self.device)
-        with self._autocast():
+        with half_precision(self.device, config.bf16):
             outputs: PointOutputs = self._parallel(batch.inputs)
         terms = self._terms(outputs, batch)
         total = sum((weight * term for weight, term in terms.values()), torch.zeros((), device=self.device))
@@ -202,9 +201,6 @@ class Trainer:
                 f"loss or gradient was not finite {self._skips} times in a row, the last time at step {self.step}; "
                 "a lower learning rate, or clipping, may help"
             )
-
-    def _autocast(self) -> AbstractContextManager[Any]:
-        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16)
 
 
 def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:
