@@ -14,10 +14,11 @@ import torch
 from binpick_env.ablation_summary import AblationTable, RowScores, tabulate
 from binpick_env.evaluation import EvaluationConfig, evaluate_scenes
 from binpick_env.folder_claim import claim
+from binpick_env.parts import load_part
 from binpick_env.process_map import map_indices
-from binpick_env.segmentation_method import MethodConfig, segmenter
+from binpick_env.segmentation_method import Grouping, MethodConfig, segmenter
 from binpick_env.segmentation_summary import load_scores
-from binpick_env.synthesis import CONFIG_FILE, SceneConfig, generate_scenes, scene_note
+from binpick_env.synthesis import SceneConfig, generate_scenes, scene_note
 from perception.files import json_text, write_atomically
 from perception.metrics.average_precision import ap_summary
 from perception.metrics.matching import SceneMatches
@@ -25,7 +26,7 @@ from perception.segmentation.dataset import BatchMaker, PackedScene, find_scenes
 from perception.segmentation.losses import PairLossConfig
 from perception.segmentation.presets import PRESETS, TrainingConfig
 from perception.segmentation.run import WEIGHTS, RunConfig, resume, train
-from perception.segmentation.scene import BoundaryScene
+from perception.segmentation.scene import SCENES_NOTE, BoundaryScene
 from perception.segmentation.scoring import score_scene
 from perception.segmentation.sgpn import SgpnConfig
 from perception.segmentation.training import Length, StepRecord, Trainer
@@ -62,15 +63,18 @@ class Row:
         """Return how the row segments, its threshold or radius still to be chosen."""
         if weights is None:
             return MethodConfig(kind="euclidean")
-        return MethodConfig(weights=weights, grouping="merging" if self.merging else "ours", mask=self.mask)
+        grouping: Grouping = "merging" if self.merging else "ours"
+        # Neighbourhoods are as dense as in training.
+        return MethodConfig(weights=weights, grouping=grouping, mask=self.mask, subset=BUDGET.points)
 
 
 ROWS = (
     Row(key="euclidean", name="Euclidean components", network=None),
     Row(key="sgpn", name="SGPN: PointNet, eq. 1", network="sgpn", merging=True, paper=(0.127, 0.0)),
-    Row(key="dgcnn", name="DGCNN, eq. 1", network="dgcnn", paper=(0.276, 0.037)),
-    Row(key="focal", name="+ focal double hinge", network="focal", paper=(0.461, 0.230)),
-    Row(key="mask", name="+ distance mask", network="focal", mask=True, paper=(0.505, 0.254)),
+    Row(key="dgcnn", name="DGCNN, eq. 1", network="dgcnn", merging=True, paper=(0.276, 0.037)),
+    Row(key="focal", name="+ focal double hinge", network="focal", merging=True, paper=(0.461, 0.230)),
+    Row(key="mask", name="+ distance mask", network="focal", merging=True, mask=True, paper=(0.505, 0.254)),
+    Row(key="grouped", name="+ all points grouped", network="focal", mask=True),
     Row(key="ours", name="ours", network="ours", mask=True),
 )
 BUDGET = TrainingConfig(batch=4, points=2048)
@@ -127,6 +131,12 @@ class AblationConfig:
                 raise ValueError(
                     f"the {name} scenes are those of seed {self.scenes.seed}, which are judged; choose another seed"
                 )
+        seeds = [
+            made if folder is None else _seed_of(folder, self.scenes.part)
+            for folder, made in ((self.training, TRAINING_SEED), (self.validation, VALIDATION_SEED))
+        ]
+        if seeds[0] is not None and seeds[0] == seeds[1]:
+            raise ValueError(f"training and validation scenes are both of seed {seeds[0]}; choose another folder")
 
     def note(self) -> dict[str, Any]:
         """Return what may not change between runs into one folder; more scenes or trainings may be asked for."""
@@ -139,8 +149,8 @@ class AblationConfig:
 def _seed_of(folder: Path, part: str) -> int | None:
     """Return the seed of a folder of generated scenes of ``part``, if it says so."""
     try:
-        note = json.loads((folder / CONFIG_FILE).read_text())
-        return int(note["seed"]) if note["part"] == part else None
+        note = json.loads((folder / SCENES_NOTE).read_text())
+        return int(note["seed"]) if Path(note["part"]).stem == Path(part).stem else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -155,11 +165,15 @@ def run_ablation(config: AblationConfig, out: Path, workers: int = 1, report: Re
         report: Called with a line whenever something else is being done.
 
     Raises:
-        ValueError: The folder is another ablation's.
+        ValueError: The folder is another ablation's, or there is no such part.
+        FileNotFoundError: A folder that was given holds no scenes.
         TrainingError: A training diverged.
         WorkerError: A process was killed.
         KeyboardInterrupt: A training's state is saved first.
     """
+    load_part(config.scenes.part, unit=config.scenes.unit)  # what is not there must not claim the folder
+    for given in filter(None, (config.training, config.validation)):
+        find_scenes([given])
     claim(out / "ablation.json", config.note(), "an ablation")
     work = _Work(
         config=config,
@@ -251,9 +265,7 @@ class _Work:
         return method.at(best), tried
 
 
-def _judge_at(
-    method: MethodConfig, settings: Sequence[float], paths: Sequence[Path], index: int
-) -> list[SceneMatches]:
+def _judge_at(method: MethodConfig, settings: Sequence[float], paths: Sequence[Path], index: int) -> list[SceneMatches]:
     """Return the verdicts on a validation scene at each setting."""
     scene = BoundaryScene.load(paths[index])
     found = segmenter(method).segment_at(settings, scene.boundary, scene.surface, scene.d_max)

@@ -27,6 +27,7 @@ from perception.frame import Frame
 from perception.provenance import git_commit
 from perception.segmentation.instance import Instance, labels_of
 from perception.segmentation.surface import coarse_surface
+from perception.segmentation.weights import load_record
 
 _log = logging.getLogger(__name__)
 CONFIG_FILE = "evaluation.json"
@@ -69,8 +70,8 @@ def evaluate_scenes(
         pictures: Whether to keep the grey images, two thirds of a record.
 
     Raises:
-        ValueError: The folder is another evaluation's, there is no such part, the weights are damaged, or nothing is
-            asked for.
+        ValueError: The folder is another evaluation's, there is no such part, the weights are damaged or have seen
+            these scenes, or nothing is asked for.
         FileNotFoundError: The part's or the weights' file does not exist.
         WorkerError: A process was killed; every finished scene is kept.
     """
@@ -78,6 +79,7 @@ def evaluate_scenes(
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
     load_part(config.scenes.part, unit=config.scenes.unit)
     segmenter(config.method)  # what cannot be loaded must not claim the folder
+    _require_unseen(config)
     claim(folder / CONFIG_FILE, config.note(), "an evaluation")
     missing = []
     for index in range(count):
@@ -121,6 +123,21 @@ def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, pictu
         threads=threads,
         git_commit=git_commit(),
     )
+
+
+def _require_unseen(config: EvaluationConfig) -> None:
+    """Refuse scenes that the weights were trained or chosen on, as far as their record says so."""
+    if config.method.weights is None:
+        return
+    record = load_record(config.method.weights)
+    for use in ("trained_on", "validated_on"):
+        for source in record.get(use, []):
+            same_part = Path(str(source["part"])).stem == Path(config.scenes.part).stem
+            if same_part and source["seed"] == config.scenes.seed:
+                raise ValueError(
+                    f"{config.method.weights} has been {use.replace('_', ' ')} scenes of seed {config.scenes.seed}; "
+                    "judge it with another seed"
+                )
 
 
 def _segment(method: Segmenter, frame: Frame, d_max: float) -> tuple[list[Instance], dict[str, float]]:

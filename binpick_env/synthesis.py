@@ -24,11 +24,10 @@ from binpick_env.simulation import Simulation
 from perception.boundary import extract_boundary
 from perception.files import json_text
 from perception.geometry import Floats, invert_transform, make_transform, rotation_about
-from perception.segmentation.scene import BoundaryScene, SceneError
+from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
 
 _log = logging.getLogger(__name__)
-CONFIG_FILE = "scenes.json"
 SensorChoice = SensorPreset | Literal["mixed"]
 MIXTURE: dict[SensorPreset, float] = {"good": 0.7, "harsh": 0.2, "none": 0.1}  # shares under sensor "mixed"
 
@@ -183,7 +182,7 @@ def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int 
 
 def claim_folder(config: SceneConfig, folder: Path) -> None:
     """Note the configuration in the folder, or compare with the one that is noted there; see `claim`."""
-    claim(folder / CONFIG_FILE, scene_note(config), "scenes")
+    claim(folder / SCENES_NOTE, scene_note(config), "scenes")
 
 
 def scene_note(config: SceneConfig) -> dict[str, Any]:

@@ -11,13 +11,11 @@ import tyro
 from tqdm import tqdm
 
 from perception.files import json_text, write_atomically
-from perception.segmentation.checkpoint import CheckpointError
-from perception.segmentation.dataset import BatchMaker, find_scenes, load_packed
+from perception.segmentation.dataset import BatchMaker, load_packed, scene_sources, split_scenes
 from perception.segmentation.distributed import Place, processes
 from perception.segmentation.presets import EPOCHS, PRESETS, PresetName, TrainingConfig
 from perception.segmentation.progress import TrainingDisplay
 from perception.segmentation.run import LOG, WEIGHTS, Log, RunConfig, resume, train
-from perception.segmentation.scene import SceneError
 from perception.segmentation.training import Length, Trainer, TrainingError
 from perception.segmentation.weights import SHARED, install_weights
 
@@ -31,7 +29,7 @@ class Arguments:
 
     part: tuple[str, ...] = ("tee",)  # what the network is for; the names it will be found under
     scenes: tuple[Path, ...] = ()  # folders of generate_scenes.py; runs/scenes-PART-0 of each part unless given
-    validation: tuple[Path, ...] = ()  # folders only evaluated on; the last scenes of each folder unless given
+    validation: tuple[Path, ...] = ()  # folders only evaluated on; the first scenes of each folder unless given
     held_out: int = 8  # scenes of each folder kept for validation where no folder is given
     preset: PresetName = "ours"  # paper: its text to the letter; released: as the code of its lineage does
     minutes: float | None = None  # length of the training
@@ -44,7 +42,7 @@ class Arguments:
     device: str | None = None  # a GPU if there is one unless given
     evaluate_every: float = 10.0  # minutes of training between evaluations
     out: Path | None = None  # folder of checkpoint, log and weights; runs/segmentation-NAME-PRESET-SEED unless given
-    install: bool = True  # copy the weights to the user's cache folder, where every command finds them
+    install: bool | None = None  # copy the weights to where every command finds them first; of preset ours unless said
     tensorboard: bool = True  # write TensorBoard's events into the folder
     json: Path | None = None  # where to write the last evaluation
 
@@ -64,19 +62,14 @@ class Arguments:
         return self.out or Path("runs") / f"segmentation-{self.name}-{self.preset}-{self.seed}"
 
     def files(self) -> tuple[list[Path], list[Path]]:
-        """Return the scenes to train and to validate on."""
+        """Return the scene files to train and to validate on."""
         folders = self.scenes or tuple(Path("runs") / f"scenes-{Path(part).stem}-0" for part in self.part)
-        if self.validation:
-            return find_scenes(folders), find_scenes(self.validation)
-        each = [find_scenes([folder]) for folder in folders]
-        kept = [min(self.held_out, len(paths) // 2) for paths in each]
-        training = [path for paths, n in zip(each, kept, strict=True) for path in paths[: len(paths) - n]]
-        return training, [path for paths, n in zip(each, kept, strict=True) for path in paths[len(paths) - n :]]
+        return split_scenes(folders, self.validation, self.held_out)
 
-    def length(self, config: TrainingConfig, scenes: int) -> Length:
+    def length(self, config: TrainingConfig, scenes: int, world: int = 1) -> Length:
         """Return how long to train: the paper's 200 epochs for its presets where nothing is said."""
         if self.minutes is None and self.steps is None and self.preset != "ours":
-            return Length(steps=EPOCHS * scenes // config.batch)
+            return Length(steps=EPOCHS * scenes // (config.batch * world))
         return Length(steps=self.steps, minutes=self.minutes)
 
 
@@ -90,7 +83,7 @@ def main(args: Arguments) -> int:
     except KeyboardInterrupt:
         print(f"\nstopped; the same command goes on from {args.folder()}", file=sys.stderr)
         return 130
-    except (ValueError, OSError, SceneError, CheckpointError, TrainingError) as error:
+    except (ValueError, OSError, TrainingError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
 
@@ -102,9 +95,12 @@ def _train(args: Arguments, place: Place) -> int:
         scenes = load_packed(training, bar.update)
     batches = BatchMaker.of(config, scenes, place.rank)
     device = args.device or (f"cuda:{place.local_rank}" if torch.cuda.is_available() else "cpu")
-    trainer = Trainer(config, batches, args.length(config, len(scenes)), device)
+    trainer = Trainer(config, batches, args.length(config, len(scenes), place.world), device)
     names = tuple(Path(part).stem for part in args.part)
-    run = RunConfig(out=out, parts=names, initial=args.initial, evaluate_every=args.evaluate_every, leader=leader)
+    sources = {"trained_on": scene_sources(training), "validated_on": scene_sources(validation)}
+    run = RunConfig(
+        sources=sources, out=out, parts=names, initial=args.initial, evaluate_every=args.evaluate_every, leader=leader
+    )
     if resume(trainer, run) and leader:
         print(f"goes on from step {trainer.step}, {trainer.elapsed / 60:.1f} minutes")
     with TrainingDisplay(out, args.tensorboard, leader) as display:
@@ -116,8 +112,8 @@ def _train(args: Arguments, place: Place) -> int:
 
 def _deliver(args: Arguments, out: Path, last: Log) -> None:
     print(f"weights   {out / WEIGHTS}\nlog       {out / LOG}")
-    if args.install:
-        print(f"installed {install_weights(out / WEIGHTS, args.name)}")
+    if args.preset == "ours" if args.install is None else args.install:
+        print(f"installed {install_weights(out / WEIGHTS, args.name)} (delete it to return to the shipped weights)")
     if args.json is not None:
         write_atomically(args.json, json_text(last))
 

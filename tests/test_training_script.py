@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from perception.segmentation.run import CHECKPOINT, LOG, WEIGHTS
+from perception.segmentation.scene import SCENES_NOTE
 from perception.segmentation.weights import find_weights, load_network, load_record
 from tests.test_perception.disc_scene import disc_scene
 from tests.test_scripts import load
@@ -26,6 +27,7 @@ def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     for part in ("nut", "bolt"):
         for k in range(3):
             disc_scene(k, points_each=40).save(tmp_path / "runs" / f"scenes-{part}-0" / f"scene_{k:05d}.npz")
+        (tmp_path / "runs" / f"scenes-{part}-0" / SCENES_NOTE).write_text(json.dumps({"part": part, "seed": 3}))
     before = torch.get_num_threads()
     yield load("train_segmentation.py")
     torch.set_num_threads(before)
@@ -45,6 +47,8 @@ def test_one_network_for_two_parts_is_trained_installed_and_found(
     assert find_weights("bolt") == find_weights("nut") == tmp_path / "cache" / "weights" / "shared.safetensors"
     record = load_record(find_weights("nut"))
     assert (record["parts"], record["steps"], record["scenes"]) == (["nut", "bolt"], 2, 4)
+    assert [source["scenes"] for source in record["trained_on"]] == [2, 2]
+    assert [source["seed"] for source in record["validated_on"]] == [3, 3]
     assert json.loads((tmp_path / "last.json").read_text())["validation"].keys() >= {"ap50", "ap75"}
     assert "installed" in capsys.readouterr().out
     assert call(script, "--part", "nut", "bolt", "--steps", "2") == 0  # nothing is left to do
@@ -54,6 +58,7 @@ def test_one_network_for_two_parts_is_trained_installed_and_found(
 def test_the_papers_preset_trains_200_epochs_unless_told_otherwise(script: ModuleType) -> None:
     args = script.Arguments(part=("nut",), preset="paper")
     assert args.length(args.config(), 1000).steps == 100_000
+    assert args.length(args.config(), 1000, world=4).steps == 25_000
     assert script.Arguments(preset="paper", steps=7).length(args.config(), 1000).steps == 7
 
 
@@ -62,7 +67,7 @@ def test_the_papers_preset_trains_200_epochs_unless_told_otherwise(script: Modul
     [
         (["--part", "nut"], "give either steps or minutes"),
         (["--part", "screw", "--steps", "1"], "runs/scenes-screw-0 holds no scene_*.npz"),
-        (["--part", "nut", "--steps", "1", "--initial", "nowhere.safetensors"], "nowhere.json does not describe"),
+        (["--part", "nut", "--steps", "1", "--initial", "nowhere.safetensors"], "nowhere.safetensors holds no network"),
         (["--part", "nut", "--steps", "1", "--learning-rate", "-1"], "learning_rate must be positive, got -1.0"),
     ],
 )
@@ -87,4 +92,5 @@ def test_two_processes_train_one_network_and_one_of_them_writes(script: ModuleTy
     out = tmp_path / "runs" / "segmentation-nut-ours-0"
     assert len((out / LOG).read_text().splitlines()) == 1
     assert load_record(out / WEIGHTS)["steps"] == 2
+    assert load_record(out / WEIGHTS)["epochs"] == 2 * 1 * 2 / 2  # steps x batch x processes / scenes
     load_network(out / WEIGHTS)

@@ -1,10 +1,12 @@
 """Training samples out of labelled scenes: a pure function of (scenes, seed, step)."""
 
+import hashlib
+import json
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -17,7 +19,7 @@ from perception.segmentation.augment import AugmentConfig, draw_kept, draw_turn
 from perception.segmentation.grid import FINE, place_in, view_grid
 from perception.segmentation.grid_net import GridInputs
 from perception.segmentation.presets import TrainingConfig
-from perception.segmentation.scene import BoundaryScene, SceneError
+from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 
 _log = logging.getLogger(__name__)
 CROP = 128  # coarse cells along a side of a training crop
@@ -44,8 +46,19 @@ class Batch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PackedScene:
-    """What training needs of a :class:`BoundaryScene`, in little memory."""
+    """What training needs of a :class:`BoundaryScene` of N points and P parts, in little memory.
 
+    Attributes:
+        name: Folder and name of its file; "" if it has none.
+        surface: (h, w) depth of the fine cells [m], 0 for none.
+        place_fine: (N, 2) column and row of each point in fine cells.
+        points: (N, 3) camera frame [m].
+        instance_ids: (N,) part of each point, -1 for the container.
+        centres: (P, 3) camera frame [m].
+        d_max: The part's largest extent [m].
+    """
+
+    name: str
     surface: Singles
     place_fine: Singles
     points: Singles
@@ -54,9 +67,10 @@ class PackedScene:
     d_max: float
 
     @classmethod
-    def pack(cls, scene: BoundaryScene) -> "PackedScene":
+    def pack(cls, scene: BoundaryScene, name: str = "") -> "PackedScene":
         """Drop what training does not read."""
         return cls(
+            name=name,
             surface=scene.surface.depth.astype(np.float32),
             place_fine=place_in(scene.surface, scene.boundary.pixels).astype(np.float32),
             points=scene.boundary.points_cam.astype(np.float32),
@@ -75,7 +89,7 @@ def load_packed(paths: Sequence[Path], progress: Callable[[], object] | None = N
     scenes = []
     for path in paths:
         try:
-            scene = PackedScene.pack(BoundaryScene.load(path))
+            scene = PackedScene.pack(BoundaryScene.load(path), f"{path.parent.name}/{path.name}")
         except SceneError as error:
             _log.warning("left out: %s", error)
             continue
@@ -104,8 +118,49 @@ def find_scenes(folders: Sequence[Path]) -> list[Path]:
     return found
 
 
+def split_scenes(folders: Sequence[Path], validation: Sequence[Path], held_out: int) -> tuple[list[Path], list[Path]]:
+    """Return the files to train and to validate on.
+
+    Args:
+        folders: To train on.
+        validation: Folders to validate on; without any, the first scenes of each of ``folders`` are kept for it.
+        held_out: How many, at most half of a folder; the first, so that they stay the same when a folder grows.
+
+    Raises:
+        FileNotFoundError: A folder holds no scenes.
+    """
+    if validation:
+        return find_scenes(folders), find_scenes(validation)
+    each = [find_scenes([folder]) for folder in folders]
+    kept = [min(held_out, len(paths) // 2) for paths in each]
+    training = [path for paths, n in zip(each, kept, strict=True) for path in paths[n:]]
+    return training, [path for paths, n in zip(each, kept, strict=True) for path in paths[:n]]
+
+
+def scene_sources(paths: Sequence[Path]) -> list[dict[str, Any]]:
+    """Return for each folder of ``paths`` what its note says (part, seed, sensor ...) and how many scenes are used."""
+    sources: list[dict[str, Any]] = []
+    for folder in dict.fromkeys(path.parent for path in paths):
+        try:
+            note = json.loads((folder / SCENES_NOTE).read_text())
+        except (OSError, ValueError):
+            note = {}  # scenes of another maker
+        known = {name: note.get(name) for name in ("part", "seed", "sensor", "num_parts", "jitter")}
+        sources.append({**known, "scenes": sum(path.parent == folder for path in paths)})
+    return sources
+
+
 class GridSample(NamedTuple):
-    """One crop; see :class:`Batch`."""
+    """One crop of N points; cells, place and local are :class:`perception.segmentation.grid.GridView`'s.
+
+    Attributes:
+        cells: (CHANNELS, CROP, CROP).
+        place: (N, 2).
+        local: (N, LOCAL).
+        points: (N, 3) turned camera axes, about the crop's focus, in units of d_max.
+        instance_ids: (N,) -1 for the container.
+        offsets: (N, 3) to the parts' centres, axes and unit of ``points``.
+    """
 
     cells: Singles
     place: Singles
@@ -175,7 +230,7 @@ def _warped(surface: Singles, turn: Floats, middle: Floats, side: int) -> Single
 
 
 class CloudSample(NamedTuple):
-    """A subset of a whole scene; see :class:`Batch`."""
+    """A subset of N points of a whole scene; shapes, axes and units are those of :class:`GridSample`."""
 
     points: Singles
     instance_ids: NDArray[np.int64]
@@ -237,6 +292,10 @@ class BatchMaker:
             seed=config.seed,
             rank=rank,
         )
+
+    def digest(self) -> str:
+        """Return a SHA-256 over the names of the scenes, in order: other scenes are another training."""
+        return hashlib.sha256("\n".join(scene.name for scene in self.scenes).encode()).hexdigest()
 
     def __call__(self, step: int) -> Batch:
         """Return the batch of ``step``: the same bits at every call."""

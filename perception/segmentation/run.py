@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ class RunConfig:
         evaluate_every: Minutes of training between evaluations.
         save_every: Minutes of training between checkpoints.
         leader: Whether this process writes; one of several that train together does.
+        sources: What the scenes are, for the record; see :func:`perception.segmentation.dataset.scene_sources`.
     """
 
     out: Path
@@ -44,6 +45,7 @@ class RunConfig:
     evaluate_every: float = 10.0
     save_every: float = 2.0
     leader: bool = True
+    sources: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.parts:
@@ -91,14 +93,15 @@ def train(
 
     Raises:
         TrainingError: The training diverged; the last checkpoint stays.
-        KeyboardInterrupt: The state is saved first.
+        KeyboardInterrupt: The state is saved first; within a step, that of the last checkpoint stays.
     """
     git_commit()  # asked for once: that of the code that trains, whatever is committed meanwhile
     saved = evaluated = trainer.elapsed
     losses: list[dict[str, float]] = []
     try:
         for record in trainer.run():
-            losses.append(record.losses)
+            if not record.skipped:
+                losses.append(record.losses)
             if on_step is not None:
                 on_step(record)
             if trainer.elapsed - evaluated >= 60 * config.evaluate_every and config.leader:
@@ -109,7 +112,7 @@ def train(
                 saved = trainer.elapsed
                 save_checkpoint(config.out / CHECKPOINT, trainer)
     except KeyboardInterrupt:
-        if config.leader:
+        if config.leader and trainer.whole:
             save_checkpoint(config.out / CHECKPOINT, trainer)
         raise
     if not config.leader:
@@ -128,6 +131,7 @@ def training_record(trainer: Trainer, config: RunConfig, last: Log) -> Log:
         "steps": trainer.step,
         "minutes": trainer.elapsed / 60,
         "scenes": len(trainer.batches.scenes),
+        **config.sources,
         "epochs": trainer.epoch,
         "initial": None if config.initial is None else load_record(config.initial),
         "validation": last.get("validation"),

@@ -13,6 +13,7 @@ from perception.geometry import Floats, require_shape
 from perception.segmentation.surface import Surface
 
 SCENE_VERSION = 1  # raise it when a field changes its meaning
+SCENES_NOTE = "scenes.json"  # what all scenes of a folder depend on, beside them
 SURFACE_UNIT = 2e-5  # of the surface's depth in the file [m]
 FARTHEST = 65535 * SURFACE_UNIT  # that it can hold there [m]
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -88,9 +89,12 @@ class Trainer:
         self.optimizer = _optimizer(config, self.network)
         self.step = 0
         self.elapsed = 0.0
+        self.whole = True  # whether the state is that between two steps
         self._skips = 0
         self._parallel: nn.Module = self.network
+        self.world = 1
         if torch.distributed.is_available() and torch.distributed.is_initialized():
+            self.world = torch.distributed.get_world_size()
             self._parallel = nn.parallel.DistributedDataParallel(self.network)
 
     def start_from(self, network: Network) -> None:
@@ -105,7 +109,12 @@ class Trainer:
         self.averaged.load_state_dict(network.state_dict())
 
     def run(self) -> Iterator[StepRecord]:
-        """Train to the end, yielding after each step; the batch after is made meanwhile."""
+        """Train to the end, yielding after each step; the batch after is made meanwhile.
+
+        Raises:
+            TrainingError: Losses stay infinite, or processes that train together do not stand at the same step.
+        """
+        self._require_one_step()
         with ThreadPoolExecutor(1) as ahead:
             coming = ahead.submit(self.batches, self.step)
             while self.progress < 1.0:
@@ -129,7 +138,7 @@ class Trainer:
     @property
     def epoch(self) -> float:
         """How often each scene has been drawn, on average."""
-        return self.step * self.config.batch / len(self.batches.scenes)
+        return self.step * self.config.batch * self.world / len(self.batches.scenes)
 
     def best_network(self) -> Network:
         """Return the weights to evaluate and to ship, in evaluation mode."""
@@ -141,6 +150,8 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         self.network.train()
+        self.whole = False
+        kept = [buffer.clone() for buffer in self.network.buffers()]
         batch = to_device(batch, self.device)
         with half_precision(self.device, config.bf16):
             outputs: PointOutputs = self._parallel(batch.inputs)
@@ -149,12 +160,16 @@ class Trainer:
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()  # type: ignore[no-untyped-call]
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), config.clip or math.inf)
-        finite = bool(torch.isfinite(total) & torch.isfinite(norm))
+        finite = bool(torch.isfinite(norm))  # of the gradient that all processes share: they decide alike
         if finite:
             self.optimizer.step()
             self._average()
+        else:  # the forward pass has put its statistics into the normalisation
+            for buffer, before in zip(self.network.buffers(), kept, strict=True):
+                buffer.copy_(before)
         self._count_skips(finite)
         self.step += 1
+        self.whole = True
         losses = {name: float(term.detach()) for name, (_, term) in terms.items()} | {"total": float(total.detach())}
         return StepRecord(
             step=self.step, progress=progress, losses=losses, rate=rate, norm=float(norm), skipped=not finite
@@ -162,7 +177,8 @@ class Trainer:
 
     def _terms(self, outputs: PointOutputs, batch: Batch) -> dict[str, tuple[float, Tensor]]:
         config = self.config
-        chance = torch.Generator(device=self.device).manual_seed(hash((config.seed, self.batches.rank, self.step)))
+        seed = np.random.SeedSequence([config.seed, self.batches.rank, self.step, 1]).generate_state(1)[0]
+        chance = torch.Generator(device=self.device).manual_seed(int(seed))
         ids, embedding = batch.instance_ids_BN, outputs.embedding_BNF.float()
         alpha = config.alpha(self.epoch)
         terms = {
@@ -193,6 +209,17 @@ class Trainer:
                     mine.lerp_(theirs[name], 1.0 - decay)
                 else:
                     mine.copy_(theirs[name])
+
+    def _require_one_step(self) -> None:
+        if self.world == 1:
+            return
+        first = torch.tensor(self.step, device=self.device)
+        torch.distributed.broadcast(first, 0)
+        if int(first) != self.step:
+            raise TrainingError(
+                f"process {self.batches.rank} stands at step {self.step}, the first one at {int(first)}: "
+                "--out must be one folder that all of them see"
+            )
 
     def _count_skips(self, finite: bool) -> None:
         self._skips = 0 if finite else self._skips + 1

@@ -1,4 +1,4 @@
-"""Trained networks on disk: weights as safetensors, and beside them a JSON with everything that made them."""
+"""Trained networks on disk: safetensors files that also hold what made them, with a JSON of it beside for people."""
 
 import json
 import os
@@ -9,13 +9,13 @@ from shutil import copyfile
 from typing import Any
 
 import platformdirs
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
-from torch import nn
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file
 
 from perception.files import json_text, replace_atomically, write_atomically
 from perception.segmentation.grid_net import GridNet, GridNetConfig
 from perception.segmentation.sgpn import Sgpn, SgpnConfig
+from perception.segmentation.tensor_files import save_tensors
 
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
 SHARED = "shared"  # the network for every part of the catalogue
@@ -37,7 +37,7 @@ def build_network(config: GridNetConfig | SgpnConfig) -> Network:
 
 
 def save_network(path: Path, network: Network, record: dict[str, Any]) -> None:
-    """Write ``path`` (safetensors) and its JSON, each in one piece.
+    """Write ``path`` (safetensors), which holds the record too, and the record as JSON beside it, each in one piece.
 
     Args:
         path: Ends with ``.safetensors``.
@@ -46,25 +46,25 @@ def save_network(path: Path, network: Network, record: dict[str, Any]) -> None:
     """
     kind = "grid" if isinstance(network, GridNet) else "sgpn"
     facts = {"version": WEIGHTS_VERSION, "kind": kind, "network": asdict(network.config)}
-    tensors = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
-    replace_atomically(path, lambda draft: save_file(tensors, draft))
-    write_atomically(path.with_suffix(".json"), json_text({**facts, **record}))
+    text = json_text({**facts, **record})
+    save_tensors(path, network.state_dict(), {"record": text})
+    write_atomically(path.with_suffix(".json"), text)
 
 
 def load_record(path: Path) -> dict[str, Any]:
-    """Read the JSON beside weights.
+    """Read what a ``.safetensors`` file says of its network.
 
     Raises:
-        WeightsError: It is missing, damaged or of another version.
+        WeightsError: The file is missing, damaged, of another version, or not one of :func:`save_network`.
     """
-    note = path.with_suffix(".json")
     try:
-        record: dict[str, Any] = json.loads(note.read_text())
+        with safe_open(path, framework="pt") as file:
+            record: dict[str, Any] = json.loads(file.metadata()["record"])
         version = record["version"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise WeightsError(f"{note} does not describe a network ({error})") from error
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise WeightsError(f"{path} holds no network of this project ({error})") from error
     if version != WEIGHTS_VERSION:
-        raise WeightsError(f"{note} is of version {version}, this code reads {WEIGHTS_VERSION}")
+        raise WeightsError(f"{path} is of version {version}, this code reads {WEIGHTS_VERSION}")
     return record
 
 
@@ -72,19 +72,17 @@ def load_network(path: Path) -> Network:
     """Return the network of a ``.safetensors`` file, in evaluation mode, on the CPU.
 
     Raises:
-        WeightsError: A file is missing or damaged, or the weights do not fit the network that the JSON describes.
+        WeightsError: The file is missing or damaged, or its weights do not fit the network that it describes.
     """
     record = load_record(path)
     try:
         config_type, network_type = _KINDS[record["kind"]]
         values = {name: tuple(v) if isinstance(v, list) else v for name, v in record["network"].items()}
-        network: nn.Module = network_type(config_type(**values))  # type: ignore[arg-type]
+        network: Network = network_type(config_type(**values))  # type: ignore[arg-type]
         network.load_state_dict(load_file(path))
     except (OSError, KeyError, TypeError, ValueError, RuntimeError, SafetensorError) as error:
-        raise WeightsError(f"{path} does not hold the network that its JSON describes ({error})") from error
-    network.eval()
-    assert_type: Network = network  # type: ignore[assignment]
-    return assert_type
+        raise WeightsError(f"{path} does not hold the network that it describes ({error})") from error
+    return network.eval()
 
 
 def find_weights(part: str) -> Path:

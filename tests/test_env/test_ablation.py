@@ -57,6 +57,8 @@ def score(found: Sequence[bool], index: int = 0) -> SceneScore:
         index=index,
         matches=matches,
         bands=(matches,) * len(BANDS),
+        wrong_side=3,
+        contour=50,
         ap=ap_summary([matches]).ap,
         points=100,
         clutter=ClutterStats.from_fractions([0.5]),
@@ -139,9 +141,13 @@ def test_rows_differ_in_what_they_say_alone() -> None:
     assert {c.pairs.anchors for c in how.values()} == {256}
     assert [how[name].pairs.kind for name in ("dgcnn", "focal")] == ["double_hinge", "focal_double_hinge"]
     methods = {r.key: r.method(Path("w") if r.network else None) for r in ROWS}
-    assert [r.network for r in ROWS] == [None, "sgpn", "dgcnn", "focal", "focal", "ours"]
+    assert [r.network for r in ROWS] == [None, "sgpn", "dgcnn", "focal", "focal", "focal", "ours"]
+    assert methods["dgcnn"] == methods["sgpn"] == methods["focal"]
     assert methods["mask"] == replace(methods["focal"], mask=True)
-    assert (methods["sgpn"].grouping, methods["dgcnn"].grouping) == ("merging", "ours")
+    assert methods["grouped"] == replace(methods["mask"], grouping="ours")
+    assert methods["ours"] == methods["grouped"]
+    assert {m.subset for m in methods.values() if m.kind == "network"} == {BUDGET.points}
+    assert methods["sgpn"].grouping == "merging"
     assert methods["euclidean"].kind == "euclidean"
 
 
@@ -165,8 +171,17 @@ def test_given_scenes_must_not_be_the_judged_ones(tmp_path: Path) -> None:
         tiny(training=tmp_path)
     (tmp_path / "scenes.json").write_text(json.dumps({"part": "tee", "seed": 7}))
     tiny(training=tmp_path, validation=tmp_path / "nowhere", scenes=replace(SCENES, seed=1))
+    (tmp_path / "scenes.json").write_text(json.dumps({"part": "./part_a", "seed": ablation.VALIDATION_SEED}))
+    with pytest.raises(ValueError, match="training and validation scenes are both of seed 1; choose another folder"):
+        tiny(training=tmp_path)
+
+
+def test_what_is_not_there_claims_no_folder(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere holds no scene_"):
         run_ablation(tiny(validation=tmp_path / "nowhere"), tmp_path / "out")
+    with pytest.raises(ValueError, match="part must be one of"):
+        run_ablation(tiny(scenes=replace(SCENES, part="teapot")), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 # --- a whole one -----------------------------------------------------------------------------------------------------
@@ -183,7 +198,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, AblationTable,
 def test_every_row_is_trained_chosen_and_judged(done: tuple[Path, AblationTable, list[str]]) -> None:
     out, table, lines = done
     assert [r.key for r in table.rows] == [r.key for r in ROWS]
-    assert [len(r.each) for r in table.rows] == [1, 2, 2, 2, 2, 2]
+    assert [len(r.each) for r in table.rows] == [1, 2, 2, 2, 2, 2, 2]
     assert sorted(path.name for path in (out / "weights").iterdir()) == [
         "dgcnn-0", "dgcnn-1", "focal-0", "focal-1", "ours-0", "ours-1", "sgpn-0", "sgpn-1",
     ]  # fmt: skip
@@ -219,6 +234,7 @@ def test_it_goes_on_where_it_was(
         run_ablation(tiny(steps=3), out)
 
 
+@pytest.mark.slow
 def test_a_stopped_training_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = tiny(steps=3, training_seeds=1, count=1)
     steps: list[str] = []

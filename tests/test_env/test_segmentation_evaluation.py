@@ -325,6 +325,16 @@ def judged(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> tuple[Pat
     return folder, config
 
 
+@pytest.mark.parametrize("use", ["trained_on", "validated_on"])
+def test_scenes_that_the_weights_have_seen_are_refused(use: str, tmp_path: Path) -> None:
+    path = tmp_path / "seen.safetensors"
+    save_network(path, tiny_grid(), {use: [{"part": "bracket", "seed": 7}, {"part": "tee", "seed": 8}]})
+    seen = EvaluationConfig(scenes=replace(SCENES, seed=8), method=MethodConfig(weights=path))
+    with pytest.raises(ValueError, match=rf"has been {use.replace('_', ' ')} scenes of seed 8; judge it with another"):
+        list(evaluate_scenes(seen, 1, tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_numbers_have_the_keys_of_the_contract(judged: tuple[Path, EvaluationConfig]) -> None:
     folder, config = judged
     values = asdict(summary_of(config, folder, 3))

@@ -1,14 +1,22 @@
 """The weights in the package find most parts of bins that no training has seen."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from binpick_env.synthesis import SceneConfig, make_scene
 from perception.metrics.average_precision import ap_summary
+from perception.segmentation import weights
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.scoring import score_scene
 
 UNSEEN = 987_654
+
+
+@pytest.fixture(autouse=True)
+def no_weights_of_the_users_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(weights, "user_folder", lambda: tmp_path)
 
 
 @pytest.mark.slow

@@ -16,6 +16,8 @@ from perception.segmentation.dataset import (
     find_scenes,
     grid_sample,
     load_packed,
+    scene_sources,
+    split_scenes,
 )
 from perception.segmentation.grid import CHANNELS, FINE
 from perception.segmentation.grid_net import GridInputs
@@ -140,6 +142,23 @@ def test_nonsense_augmentation_is_named(field: str, value: float, text: str) -> 
         AugmentConfig(**{field: value})
 
 
+def test_held_out_scenes_are_the_first_and_stay_the_same(tmp_path: Path) -> None:
+    folders = [tmp_path / "a", tmp_path / "b"]
+    for k in range(5):
+        disc_scene(parts=1, points_each=5).save(folders[0] / f"scene_{k:05d}.npz")
+    disc_scene(parts=1, points_each=5).save(folders[1] / "scene_00000.npz")
+    (folders[0] / "scenes.json").write_text('{"part": "nut", "seed": 4, "backend": "raster"}')
+    training, validation = split_scenes(folders, [], 2)
+    assert [path.name for path in validation] == ["scene_00000.npz", "scene_00001.npz"]
+    assert len(training) == 4
+    disc_scene(parts=1, points_each=5).save(folders[0] / "scene_00005.npz")
+    assert split_scenes(folders, [], 2)[1] == validation
+    assert split_scenes(folders[:1], folders[1:], 2)[1] == find_scenes(folders[1:])
+    known, unknown = scene_sources(training)
+    assert (known["part"], known["seed"], known["scenes"]) == ("nut", 4, 3)
+    assert (unknown["part"], unknown["scenes"]) == (None, 1)
+
+
 def test_folders_are_read_and_damaged_files_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     disc_scene().save(tmp_path / "scene_00000.npz")
     (tmp_path / "scene_00001.npz").write_bytes(b"half a file")
@@ -150,6 +169,7 @@ def test_folders_are_read_and_damaged_files_left_out(tmp_path: Path, caplog: pyt
     assert (len(paths), len(scenes), len(calls)) == (3, 1, 3)
     assert "left out" in caplog.text
     np.testing.assert_allclose(scenes[0].points, SCENE.points, atol=1e-6)
+    assert scenes[0].name == f"{tmp_path.name}/scene_00000.npz"
     with pytest.raises(SceneError, match="none of 1 files holds a scene to learn from"):
         load_packed(paths[1:2])
     with pytest.raises(FileNotFoundError, match=r"holds no scene_\*.npz; make them with"):

@@ -93,6 +93,7 @@ def test_too_few_points_have_no_instances(config: GridNetConfig | SgpnConfig) ->
 def test_one_giant_instance_is_cut_to_the_parts_size() -> None:
     scene, teller = disc_scene(parts=1, points_each=900, void=0), predictor(SMALL)
     instances = teller.predict(scene.boundary, scene.surface, D_MAX / 4)  # a model of a quarter of the true size
+    assert instances
     for instance in instances:
         points = scene.boundary.points_cam[instance.point_idx]
         assert np.ptp(points, axis=0).max() < D_MAX / 4 * 1.1

@@ -7,17 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 
 from perception.boundary import BoundaryCloud
 from perception.segmentation import run as run_module
 from perception.segmentation.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
-from perception.segmentation.dataset import BatchMaker, PackedScene
+from perception.segmentation.dataset import Batch, BatchMaker, PackedScene
 from perception.segmentation.grid_net import GridNetConfig
 from perception.segmentation.instance import Instance, instances_of
 from perception.segmentation.presets import PRESETS, TrainingConfig
 from perception.segmentation.run import CHECKPOINT, LOG, WEIGHTS, RunConfig, resume, train, validate
 from perception.segmentation.sgpn import SgpnConfig
 from perception.segmentation.surface import Surface
+from perception.segmentation.tensor_files import save_tensors
 from perception.segmentation.training import SKIPS, Length, StepRecord, Trainer, TrainingError, learning_rate
 from perception.segmentation.weights import load_network, load_record
 from tests.test_perception.disc_scene import disc_scene
@@ -115,6 +117,32 @@ def test_updates_that_are_not_finite_are_left_out_and_end_the_training_if_they_g
     assert [name for name in learned if not torch.equal(before[name], broken.network.state_dict()[name])] == []
 
 
+def test_a_forward_pass_that_is_not_finite_leaves_no_trace(tmp_path: Path) -> None:
+    config, makes = replace(GRID, bf16=False), BatchMaker.of(GRID, SCENES)
+
+    class OnceBroken:
+        scenes, rank = makes.scenes, 0
+
+        def __call__(self, step: int) -> Batch:
+            batch = makes(step)
+            if step == 1:
+                batch.inputs.cells_BCHW[0, 0, 5, 5] = torch.nan
+            return batch
+
+        def digest(self) -> str:
+            return "broken"
+
+    one = Trainer(config, OnceBroken(), Length(steps=4))
+    log = RunConfig(out=tmp_path, parts=("disc",), evaluate_every=1e-9)
+    skipped: list[bool] = []
+    train(one, [], log, lambda record: skipped.append(record.skipped))
+    assert skipped == [False, True, False, False]
+    for network in (one.network, one.averaged):
+        assert all(torch.isfinite(value).all() for value in network.state_dict().values())
+    lines = [json.loads(line) for line in (tmp_path / LOG).read_text().splitlines()]
+    assert all(np.isfinite(value) for line in lines for value in line["losses"].values())
+
+
 @pytest.mark.parametrize(
     ("field", "value", "text"),
     [
@@ -148,7 +176,15 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
         CheckpointError, match=r"belongs to another training \(batch: 1 there, 2 here\); choose another"
     ):
         load_checkpoint(path, trainer(replace(GRID, batch=2)))
-    path.write_bytes(path.read_bytes()[:100])
+    others = BatchMaker.of(GRID, [replace(SCENES[0], name="scene_9"), *SCENES[1:]])
+    with pytest.raises(CheckpointError, match=r"belongs to another training \(scenes: .* there, .* here\)"):
+        load_checkpoint(path, Trainer(GRID, others, Length(steps=4)))
+    whole = path.read_bytes()
+    with safe_open(path, framework="pt") as file:
+        save_tensors(path, {"network/nothing": torch.zeros(1)}, file.metadata())
+    with pytest.raises(CheckpointError, match="does not fit the network of its own settings"):
+        load_checkpoint(path, trainer(GRID))
+    path.write_bytes(whole[:100])
     with pytest.raises(CheckpointError, match="holds no whole checkpoint"):
         load_checkpoint(path, trainer(GRID))
 
@@ -201,6 +237,27 @@ def test_ctrl_c_keeps_the_state(tmp_path: Path) -> None:
     resumed = trainer(GRID)
     assert resume(resumed, config)
     assert resumed.step == 2
+
+
+def test_ctrl_c_within_a_step_keeps_the_last_whole_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = RunConfig(out=tmp_path, parts=("disc",), save_every=1e-9)
+    torn = trainer(GRID)
+    average, calls = torn._average, []
+
+    def interrupted() -> None:
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt  # the optimizer has stepped, the count has not
+        average()
+
+    monkeypatch.setattr(torn, "_average", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(torn, [], config)
+    resumed, whole = trainer(GRID), trainer(GRID)
+    assert resume(resumed, config)
+    assert resumed.step == 2
+    list(resumed.run()), list(whole.run())
+    assert_same(weights(whole), weights(resumed))
 
 
 def test_several_processes_leave_writing_to_the_first(tmp_path: Path) -> None:

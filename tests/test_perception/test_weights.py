@@ -5,10 +5,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors import SafetensorError
 
 from perception.segmentation import weights as module
 from perception.segmentation.grid_net import GridNet, GridNetConfig
 from perception.segmentation.sgpn import Sgpn, SgpnConfig
+from perception.segmentation.tensor_files import save_tensors
 from perception.segmentation.weights import (
     SHARED,
     SHIPPED,
@@ -48,21 +50,47 @@ def test_a_network_comes_back_to_the_bit(network: GridNet | Sgpn, tmp_path: Path
 
 def test_what_is_not_whole_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "tee.safetensors"
-    with pytest.raises(WeightsError, match=r"tee\.json does not describe a network"):
+    with pytest.raises(WeightsError, match=r"tee\.safetensors holds no network of this project"):
         load_network(path)
     save_network(path, NETWORKS[0], {})
     path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(WeightsError, match="does not hold the network that its JSON describes"):
+    with pytest.raises(WeightsError, match="holds no network of this project"):
         load_network(path)
-    save_network(path, NETWORKS[0], {})
-    note = path.with_suffix(".json")
-    record = json.loads(note.read_text())
-    note.write_text(json.dumps(record | {"network": record["network"] | {"hidden": 10}}))
-    with pytest.raises(WeightsError, match="does not hold the network that its JSON describes"):
+    record = json.loads(path.with_suffix(".json").read_text())
+    for change, text in (
+        ({"network": record["network"] | {"hidden": 10}}, "does not hold the network that it describes"),
+        ({"kind": "oracle"}, "does not hold the network that it describes"),
+        ({"version": 99}, "is of version 99, this code reads 1"),
+    ):
+        save_tensors(path, NETWORKS[0].state_dict(), {"record": json.dumps(record | change)})
+        with pytest.raises(WeightsError, match=text):
+            load_network(path)
+    save_tensors(path, NETWORKS[0].state_dict(), {})
+    with pytest.raises(WeightsError, match="holds no network of this project"):
         load_network(path)
-    note.write_text(json.dumps(record | {"version": 99}))
-    with pytest.raises(WeightsError, match="is of version 99, this code reads 1"):
-        load_network(path)
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "tee.safetensors"
+    save_network(path, NETWORKS[0], {"steps": 1})
+
+    def full(*_: object, **__: object) -> None:
+        raise SafetensorError("No space left on device")
+
+    monkeypatch.setattr("perception.segmentation.tensor_files.save_file", full)
+    with pytest.raises(OSError, match=r"tee\.safetensors cannot be written \(No space left on device\)"):
+        save_network(path, NETWORKS[0], {"steps": 2})
+    assert load_record(path)["steps"] == 1
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_the_record_travels_with_the_weights(tmp_path: Path) -> None:
+    path = tmp_path / "tee.safetensors"
+    save_network(path, NETWORKS[0], {"steps": 7})
+    assert json.loads(path.with_suffix(".json").read_text()) == load_record(path)
+    path.with_suffix(".json").unlink()
+    assert load_record(path)["steps"] == 7
+    load_network(path)
 
 
 def test_the_users_own_go_before_shipped_ones_and_a_parts_own_before_shared_ones(folders: tuple[Path, Path]) -> None:
@@ -89,8 +117,11 @@ def test_shared_weights_of_the_users_own_are_found_too(folders: tuple[Path, Path
 @pytest.mark.parametrize("part", ["part_a", "part_b", "part_c", "tee", "bracket"])
 def test_weights_for_the_catalogue_are_shipped(part: str) -> None:
     paths = (SHIPPED / f"{part}.safetensors", SHIPPED / f"{SHARED}.safetensors")
-    path = next(path for path in paths if path.exists())
+    path = next((path for path in paths if path.exists()), None)
+    assert path is not None
     record = load_record(path)
     assert part in record["parts"]
-    assert {"training", "steps", "scenes", "validation", "git_commit"} <= record.keys()
+    assert part in [source["part"] for source in record["trained_on"]]
+    assert {"training", "steps", "minutes", "scenes", "validation", "git_commit"} <= record.keys()
+    assert json.loads(path.with_suffix(".json").read_text()) == record
     load_network(path)
