@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.boundary import BoundaryCloud
+from perception.segmentation.distance import Distance
 from perception.segmentation.euclidean import euclidean_components
 from perception.segmentation.group_merging import GroupMergingConfig, merge_groups
-from perception.segmentation.grouping import Distance, GroupingConfig, group_points, propagate_labels
+from perception.segmentation.grouping import GroupingConfig, group_points, propagate_labels
 from perception.segmentation.instance import Instance, instances_of
 from perception.segmentation.predictor import PointPredictions, PredictorConfig, SegmentationPredictor
 from perception.segmentation.surface import Surface
@@ -119,7 +120,7 @@ class Segmenter:
             said = self._predictor.describe(boundary, surface, d_max)
             return [self._grouped(said, boundary, d_max, threshold) for threshold in settings]
         chosen = np.random.default_rng(config.seed).permutation(len(boundary))[: config.subset]
-        said = self._predictor.describe(_subset(boundary, chosen), surface, d_max)
+        said = self._predictor.describe(boundary.only(chosen), surface, d_max)
         return [self._merged(said, boundary, chosen, d_max, threshold) for threshold in settings]
 
     def _grouped(self, said: PointPredictions, boundary: BoundaryCloud, d_max: float, t: float) -> list[Instance]:
@@ -157,12 +158,3 @@ def trained_distance(record: dict[str, Any]) -> Distance:
     """Return the embedding distance that weights were trained with, by the JSON beside them."""
     training = record.get("training") or {}
     return "scaled_square" if training.get("pairs", {}).get("distance") == "scaled_square" else "l2"
-
-
-def _subset(boundary: BoundaryCloud, chosen: NDArray[np.int64]) -> BoundaryCloud:
-    return BoundaryCloud(
-        points_cam=boundary.points_cam[chosen],
-        tangents_cam=boundary.tangents_cam[chosen],
-        linearity=boundary.linearity[chosen],
-        pixels=boundary.pixels[chosen],
-    )

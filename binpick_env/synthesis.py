@@ -23,7 +23,7 @@ from binpick_env.shading import Light
 from binpick_env.simulation import Simulation
 from perception.boundary import extract_boundary
 from perception.files import json_text
-from perception.geometry import Floats, invert_transform, make_transform, rotation_about
+from perception.geometry import Floats, invert_transform, make_transform, rotation_about, transform_point_each
 from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
 
@@ -110,15 +110,10 @@ def make_scene(config: SceneConfig, index: int) -> LabelledCapture:
         K=capture.frame.K,
         instance_ids=capture.instance_ids[boundary.pixels[:, 1], boundary.pixels[:, 0]],
         T_cam_parts=T_cam_parts,
-        centres_cam=transform_points_each(T_cam_parts, model.centre),
+        centres_cam=transform_point_each(T_cam_parts, model.centre),
         visible_fractions=visible_fractions(capture, model.mesh, T_world_parts),
     )
     return LabelledCapture(scene, capture)
-
-
-def transform_points_each(T_a_b: Floats, point_b: Floats) -> Floats:
-    """Map one (3,) point by each of (P, 4, 4) transforms to (P, 3)."""
-    return T_a_b[:, :3, :3] @ point_b + T_a_b[:, :3, 3]
 
 
 def draw_light(rng: np.random.Generator) -> Light:

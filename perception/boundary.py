@@ -13,7 +13,7 @@ from perception.geometry import Floats, require_shape, transform_points
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoundaryCloud:
-    """The boundary points of one frame, in reading order of their pixels.
+    """The boundary points of one frame; :func:`extract_boundary` gives them in reading order of their pixels.
 
     Attributes:
         points_cam: (N, 3) float64 [m].
@@ -39,6 +39,15 @@ class BoundaryCloud:
 
     def __len__(self) -> int:
         return len(self.points_cam)
+
+    def only(self, chosen: NDArray[np.bool_] | NDArray[np.integer]) -> "BoundaryCloud":
+        """Return the cloud of some of the points: by a mask (N,), or by their indices in any order."""
+        return BoundaryCloud(
+            points_cam=self.points_cam[chosen],
+            tangents_cam=self.tangents_cam[chosen],
+            linearity=self.linearity[chosen],
+            pixels=self.pixels[chosen],
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,6 +44,12 @@ def transform_points(T_a_b: Floats, points_b: Floats) -> Floats:
     return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
 
 
+def transform_point_each(T_a_b: Floats, point_b: Floats) -> Floats:
+    """Map one (3,) point by each of (N, 4, 4) transforms to (N, 3)."""
+    points: Floats = T_a_b[:, :3, :3] @ point_b + T_a_b[:, :3, 3]
+    return points
+
+
 def matrix_from_quat(quat: ArrayLike) -> Floats:
     """Return the (..., 3, 3) rotation of (..., 4) wxyz quaternions."""
     return Rotation.from_quat(np.asarray(quat, dtype=np.float64), scalar_first=True).as_matrix()

@@ -20,6 +20,7 @@ PACKAGES = (
     "numba",
     "opencv-python-headless",
     "torch",
+    "safetensors",
     "trimesh",
     "manifold3d",
     "coacd",

@@ -65,8 +65,7 @@ def is_recognised(
         ValueError: ``d_max`` is not positive, or a limit is negative.
     """
     require_diameter(d_max)
-    if not (max_translation >= 0 and max_rotation >= 0):
-        raise ValueError(f"the limits must be 0 or more, got {max_translation} of d_max and {max_rotation} rad")
+    _require_limits(max_translation, max_rotation)
     return bool(error.translation <= max_translation * d_max and error.rotation <= max_rotation)
 
 
@@ -83,10 +82,12 @@ def recognition_distances(
     With these distances :func:`perception.metrics.pose_recognition.judge_poses` counts by the paper's criterion.
 
     Raises:
-        ValueError: The poses are not (E, 4, 4) and (P, 4, 4), or a limit is negative.
+        ValueError: The poses are not (E, 4, 4) and (P, 4, 4), or not finite, or a limit is negative.
     """
-    require_shape("T_est", T_est, (None, 4, 4))
-    require_shape("T_true", T_true, (None, 4, 4))
+    _require_limits(max_translation, max_rotation)
+    for name, T in (("T_est", T_est), ("T_true", T_true)):
+        require_shape(name, T, (None, 4, 4))
+        _require_finite(name, T)
     distances = np.full((len(T_est), len(T_true)), np.inf)
     centres_est, centres_true = (T[:, :3, :3] @ part.centre + T[:, :3, 3] for T in (T_est, T_true))
     apart = np.linalg.norm(centres_est[:, None] - centres_true, axis=-1)
@@ -139,14 +140,23 @@ def require_pose(T_est: Floats, T_true: Floats) -> None:
     """Raise ``ValueError`` unless both are (4, 4) and finite."""
     for name, T in (("T_est", T_est), ("T_true", T_true)):
         require_shape(name, T, (4, 4))
-        if not np.isfinite(T).all():
-            raise ValueError(f"{name} must be finite, got {T.tolist()}")
+        _require_finite(name, T)
 
 
 def require_diameter(d_max: float) -> None:
     """Raise ``ValueError`` unless ``d_max`` is positive."""
     if not d_max > 0:
         raise ValueError(f"d_max must be positive, got {d_max}")
+
+
+def _require_finite(name: str, T: Floats) -> None:
+    if not np.isfinite(T).all():
+        raise ValueError(f"{name} must be finite, got {T.tolist()}")
+
+
+def _require_limits(max_translation: float, max_rotation: float) -> None:
+    if not (max_translation >= 0 and max_rotation >= 0):
+        raise ValueError(f"the limits must be 0 or more, got {max_translation} of d_max and {max_rotation} rad")
 
 
 def _posed(T_est: Floats, T_true: Floats, points: Floats) -> tuple[Floats, Floats]:

@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from perception.geometry import Floats, require_shape
-from perception.segmentation.grouping import Distance, Groups, Ints, mean_scores, require_points, squared_threshold
+from perception.segmentation.distance import Distance, squared_threshold
+from perception.segmentation.grouping import Groups, Ints, mean_scores, require_points
 
 Mask = NDArray[np.bool_]
 

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from perception.geometry import Floats, require_shape
 from perception.segmentation import _kernels
+from perception.segmentation.distance import Distance, squared_threshold
 
-Distance = Literal["l2", "scaled_square"]
 Ints = NDArray[np.int64]
 
 _DIRECTIONS = 96
@@ -68,21 +68,6 @@ class Groups:
 
     labels: Ints
     scores: Floats
-
-
-def squared_threshold(threshold: float, distance: Distance) -> float:
-    """Return the squared Euclidean embedding distance that ``threshold`` stands for.
-
-    Raises:
-        ValueError: The threshold is not positive and finite, or there is no such distance.
-    """
-    if not 0 < threshold < np.inf:
-        raise ValueError(f"threshold must be positive and finite, got {threshold}")
-    if distance == "l2":
-        return threshold**2
-    if distance == "scaled_square":
-        return threshold / 10
-    raise ValueError(f"distance must be 'l2' or 'scaled_square', got {distance!r}")
 
 
 def half_sphere(count: int) -> Floats:

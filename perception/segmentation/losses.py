@@ -15,13 +15,13 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
+from perception.segmentation.distance import SQUARE_SCALE, Distance, squared_threshold
+
 Kind = Literal["double_hinge", "focal_double_hinge"]
-Distance = Literal["l2", "scaled_square"]
 Weighting = Literal["none", "inverse_frequency"]
 Rise = Literal["linear", "stepped", "constant"]
 _Cases = tuple[Tensor, Tensor | None, Tensor | None]
 
-SQUARE_SCALE = 10.0  # of SGPN's released code: S = 10 ||df||^2
 COINCIDENT = 1e-5  # embedding distance below which the gradient of ||df|| fades to 0; float64 resolves it
 BLOCK_ELEMENTS = {"cpu": 1 << 20, "cuda": 1 << 24}  # pairs at once: within a CPU's cache, within a GPU's memory
 
@@ -168,7 +168,7 @@ def confidence_loss(
     threshold = config.threshold if threshold is None else threshold
     if not threshold > 0:
         raise ValueError(f"threshold must be positive, got {threshold}")
-    limit = threshold**2 if config.distance == "l2" else threshold / SQUARE_SCALE
+    limit = squared_threshold(threshold, config.distance)
     anchors_BA, weight_BA = _draw_anchors(ids_BN, config.anchors, generator)
     iou_BA = _proposal_iou(embedding_BNF.detach(), ids_BN, anchors_BA, limit)
     confidence_BA = _exact(confidence_BN).gather(1, anchors_BA)

@@ -135,11 +135,4 @@ class BoundaryScene:
 
     def only(self, mask: NDArray[np.bool_]) -> "BoundaryScene":
         """Return the scene with the boundary points of (N,) ``mask`` alone."""
-        b = self.boundary
-        points = BoundaryCloud(
-            points_cam=b.points_cam[mask],
-            tangents_cam=b.tangents_cam[mask],
-            linearity=b.linearity[mask],
-            pixels=b.pixels[mask],
-        )
-        return replace(self, boundary=points, instance_ids=self.instance_ids[mask])
+        return replace(self, boundary=self.boundary.only(mask), instance_ids=self.instance_ids[mask])

@@ -10,12 +10,11 @@ import torch
 from torch import Tensor, nn
 
 from perception.segmentation.dgcnn import DgcnnConfig, DGCNNTrunk
+from perception.segmentation.distance import SQUARE_SCALE, Distance
 from perception.segmentation.output import PointOutputs
 from perception.segmentation.pointnet import PointNetConfig, PointNetTrunk, require_at_least_one
 
 Trunk = Literal["pointnet", "dgcnn"]
-PairDistance = Literal["l2", "scaled_square"]
-SQUARE_SCALE = 10.0  # of the released code's S = 10 |df|^2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +84,7 @@ class Sgpn(nn.Module):
         )
 
 
-def similarity_matrix(embedding_BNF: Tensor, distance: PairDistance = "l2") -> Tensor:
+def similarity_matrix(embedding_BNF: Tensor, distance: Distance = "l2") -> Tensor:
     """Return (..., N, N) pairwise distances S of a (..., N, F) embedding; 0 is most alike.
 
     Args:
@@ -98,7 +97,7 @@ def similarity_matrix(embedding_BNF: Tensor, distance: PairDistance = "l2") -> T
     Note: O(N^2) memory; differences are taken before squaring, so the diagonal is exactly 0. Coinciding pairs get
     gradient 0, not NaN.
     """
-    if distance not in get_args(PairDistance):
-        raise ValueError(f"distance must be one of {get_args(PairDistance)}, got {distance!r}")
+    if distance not in get_args(Distance):
+        raise ValueError(f"distance must be one of {get_args(Distance)}, got {distance!r}")
     lengths = torch.cdist(embedding_BNF, embedding_BNF, compute_mode="donot_use_mm_for_euclid_dist")
     return lengths if distance == "l2" else SQUARE_SCALE * lengths.square()

@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception import _kernels
+from perception.boundary import BoundarySettings
 from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import require_shape
 
 CELLS_PER_D_MAX = 80  # fine enough for the network's cells, twice as large, to be sampled from at any turn
-STEP = 0.003  # depths of one cell that differ by less are one surface [m]
-HEADROOM = 0.03  # of a heaped pile over the rim [m]
+STEP = BoundarySettings.step  # depths of one cell that differ by less are one surface [m]
+HEADROOM = BoundarySettings.headroom  # of a heaped pile over the rim [m]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

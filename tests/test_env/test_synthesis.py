@@ -22,10 +22,9 @@ from binpick_env.synthesis import (
     generate_scenes,
     make_scene,
     scene_path,
-    transform_points_each,
 )
 from perception.boundary import organised_points
-from perception.geometry import invert_transform, make_transform, project_points, random_rotation, transform_points
+from perception.geometry import invert_transform, project_points, transform_points
 from perception.segmentation.scene import BoundaryScene
 
 CAMERA = CameraConfig(width=320, height=240, backend="raster")
@@ -292,12 +291,3 @@ def test_nonsense_in_the_configuration_is_refused(changes: dict[str, Any], text:
 def test_nothing_to_make_is_refused(tmp_path: Path, count: int, workers: int) -> None:
     with pytest.raises(ValueError, match=f"count and workers must be at least 1, got {count} and {workers}"):
         next(generate_scenes(TINY, count, tmp_path, workers))
-
-
-def test_one_point_by_many_transforms() -> None:
-    rng = np.random.default_rng(0)
-    poses = np.stack([make_transform(random_rotation(rng), rng.normal(size=3)) for _ in range(5)])
-    point = rng.normal(size=3)
-    expected = [transform_points(pose, point[None])[0] for pose in poses]
-    np.testing.assert_allclose(transform_points_each(poses, point), expected)
-    assert transform_points_each(np.zeros((0, 4, 4)), point).shape == (0, 3)

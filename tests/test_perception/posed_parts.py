@@ -66,6 +66,13 @@ def random_nearby(T: Floats, part: PartModel, rng: np.random.Generator, size: fl
     return make_transform(None, 0.1 * size * rng.normal(size=3)) @ T @ tilt
 
 
+def three_poses(part: PartModel, seed: int, size: float) -> tuple[Floats, Floats, Floats]:
+    """Return a pose and two about ``size`` away from it."""
+    rng = np.random.default_rng(seed)
+    a = random_pose(rng)
+    return a, random_nearby(a, part, rng, size), random_nearby(a, part, rng, size)
+
+
 def random_element(part: PartModel, rng: np.random.Generator) -> Floats:
     """Return a (4, 4) turn of a part about its centre that cannot be seen."""
     rotation = part.symmetry.rotations[rng.integers(len(part.symmetry.rotations))]

@@ -24,6 +24,7 @@ from perception.geometry import (
     rotation_about,
     rotation_angle,
     rotation_from_6d,
+    transform_point_each,
     transform_points,
 )
 
@@ -314,3 +315,14 @@ def test_a_wrong_shape_is_told(have: tuple[int, ...], want: tuple[int | None, ..
 @pytest.mark.parametrize(("have", "want"), [((512, 3), (None, 3)), ((0, 3), (None, 3)), ((3,), (3,)), ((), ())])
 def test_a_right_shape_passes(have: tuple[int, ...], want: tuple[int | None, ...]) -> None:
     require_shape("points_cam", np.zeros(have), want)
+
+
+
+def test_one_point_by_many_transforms() -> None:
+    rng = np.random.default_rng(0)
+    poses = np.stack([make_transform(random_rotation(rng), rng.normal(size=3)) for _ in range(5)])
+    point = rng.normal(size=3)
+    expected = [transform_points(pose, point[None])[0] for pose in poses]
+    np.testing.assert_allclose(transform_point_each(poses, point), expected)
+    assert transform_point_each(np.zeros((0, 4, 4)), point).shape == (0, 3)
+

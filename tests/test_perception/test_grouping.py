@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
+from perception.segmentation.distance import squared_threshold
 from perception.segmentation.group_merging import GroupMergingConfig, merge_groups
 from perception.segmentation.grouping import (
     EXTENT_TOLERANCE,
@@ -18,7 +19,6 @@ from perception.segmentation.grouping import (
     group_points,
     half_sphere,
     propagate_labels,
-    squared_threshold,
 )
 
 TWIN = runpy.run_path(str(Path(__file__).parents[1] / "reference" / "grouping_twin.py"))

@@ -163,13 +163,18 @@ def test_the_distance_does_not_depend_on_where_the_drawing_has_its_origin() -> N
         assert PoseSpace.of(moved).distance(a @ old_new, b @ old_new) == pytest.approx(expected, rel=1e-9)
 
 
-def test_a_mesh_that_lacks_a_declared_symmetry_is_given_it() -> None:
-    part = PartModel.from_mesh("block", at.wedge().mesh, at.lid().symmetry)
+@pytest.mark.parametrize("symmetry", [at.lid().symmetry, at.wheel().symmetry], ids=["turns", "axis"])
+def test_a_mesh_that_lacks_a_declared_symmetry_is_given_it(symmetry: Symmetry) -> None:
+    part = PartModel.from_mesh("block", at.wedge().mesh, symmetry)
     space = PoseSpace.of(part)
-    assert space.distance(AHEAD @ at.about_centre(part, at.HALF_TURN), AHEAD) == pytest.approx(0.0, abs=1e-15)
     np.testing.assert_allclose(space.centroid[:2], part.centre[:2], atol=1e-15)
-    tilted = AHEAD @ at.about_centre(part, rotation_about(X, 0.2))
-    assert space.distance(tilted, AHEAD) == pytest.approx(space.distance(AHEAD, tilted))
+    assert space.centroid[2] == pytest.approx(surface_moments(part.mesh)[0][2])
+    half = at.about_centre(part, at.HALF_TURN)
+    assert space.distance(AHEAD @ half, AHEAD) == pytest.approx(0.0, abs=1e-15)
+    tilted = AHEAD @ at.about_centre(part, rotation_about((0.5, 0.3, 0.4), 0.4)) @ half
+    there, back = space.distance(tilted, AHEAD), space.distance(AHEAD, tilted)
+    assert there == pytest.approx(back, rel=1e-12)
+    assert space.distance(tilted @ half, AHEAD) == pytest.approx(there, rel=1e-12)
 
 
 def test_a_wrong_space_or_pose_is_refused() -> None:
@@ -226,6 +231,12 @@ def test_of_equal_scores_the_first_is_right_and_both_are_one_point() -> None:
     curve = pose_precision_recall([verdicts])
     assert curve.precision.tolist() == [0.5, 1.0]
     assert pose_average_precision(curve) == 0.5
+
+
+def test_an_estimate_just_at_the_distance_is_of_no_instance() -> None:
+    verdicts = judge_poses(np.array([[0.1], [np.nextafter(0.1, 0)]]), np.array([0.9, 0.5]), np.array([True]), 0.1)
+    assert verdicts.claims.tolist() == [-1, 0]
+    assert verdicts.correct.tolist() == [False, True]
 
 
 def test_an_instance_is_not_lost_to_a_nearer_estimate_of_its_neighbour() -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from perception.boundary import BoundaryCloud
 from perception.metrics.average_precision import ap_summary
 from perception.segmentation.grid_net import GridNet, GridNetConfig
 from perception.segmentation.grouping import GroupingConfig
@@ -25,15 +24,6 @@ def predictor(config: GridNetConfig | SgpnConfig, **settings: object) -> Segment
     torch.manual_seed(0)
     network = GridNet(config) if isinstance(config, GridNetConfig) else Sgpn(config)
     return SegmentationPredictor(network, PredictorConfig(**settings), device="cpu")
-
-
-def permuted(boundary: BoundaryCloud, order: np.ndarray) -> BoundaryCloud:
-    return BoundaryCloud(
-        points_cam=boundary.points_cam[order],
-        tangents_cam=boundary.tangents_cam[order],
-        linearity=boundary.linearity[order],
-        pixels=boundary.pixels[order],
-    )
 
 
 def test_votes_that_meet_at_the_centres_are_the_parts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,7 +58,7 @@ def test_the_order_of_the_points_changes_nothing() -> None:
     scene, teller = disc_scene(), predictor(SMALL, bf16=False)
     order = np.random.default_rng(0).permutation(len(scene.boundary))
     straight = labels_of(teller.predict(scene.boundary, scene.surface, D_MAX), len(order))
-    mixed = labels_of(teller.predict(permuted(scene.boundary, order), scene.surface, D_MAX), len(order))
+    mixed = labels_of(teller.predict(scene.boundary.only(order), scene.surface, D_MAX), len(order))
     np.testing.assert_array_equal(straight[order], mixed)
 
 
@@ -91,7 +81,8 @@ def test_too_few_points_have_no_instances(config: GridNetConfig | SgpnConfig) ->
 
 
 def test_one_giant_instance_is_cut_to_the_parts_size() -> None:
-    scene, teller = disc_scene(parts=1, points_each=900, void=0), predictor(SMALL)
+    scene = disc_scene(parts=1, points_each=900, void=0)
+    teller = predictor(SMALL, grouping=GroupingConfig(threshold=1e6))  # to the network, all points are one
     instances = teller.predict(scene.boundary, scene.surface, D_MAX / 4)  # a model of a quarter of the true size
     assert instances
     for instance in instances:
