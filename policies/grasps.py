@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from binpick_env.cache import Arrays, cached_arrays, digest
+from perception.cache import Arrays, cached_arrays, digest
 from perception.geometry import Floats, make_transform
 from perception.part import PartModel
 from policies.antipodal import Contacts, Solid, close_pads, grasps_on_lines, opposite_faces

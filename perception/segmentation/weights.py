@@ -1,17 +1,16 @@
 """Trained networks on disk: safetensors files that also hold what made them, with a JSON of it beside for people."""
 
 import json
-import os
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
-import platformdirs
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 
+from perception.cache import cache_folder
 from perception.files import json_text, replace_atomically, write_atomically
 from perception.segmentation.grid_net import GridNet, GridNetConfig
 from perception.segmentation.sgpn import Sgpn, SgpnConfig
@@ -118,5 +117,5 @@ def install_weights(path: Path, name: str) -> Path:
 
 
 def user_folder() -> Path:
-    """Return where a user's own weights lie: ``$BINPICK_CACHE`` or the platform's cache folder, ``weights``."""
-    return Path(os.environ.get("BINPICK_CACHE") or platformdirs.user_cache_dir("binpick")) / "weights"
+    """Return where a user's own weights lie, in the cache folder."""
+    return cache_folder() / "weights"

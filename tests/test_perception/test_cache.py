@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from binpick_env.cache import Arrays, cache_folder, cached_arrays, digest
+from perception.cache import Arrays, cache_folder, cached_arrays, digest
 
 
 @pytest.fixture
