@@ -34,13 +34,13 @@ class GroupingConfig:
         max_seeds: Proposals tried at most; bounds the time that an untrained embedding takes.
     """
 
-    threshold: float = 7.5
+    threshold: float = 9.0
     distance: Distance = "l2"
     d_max: bool = True
     slack: float = 0.02
-    min_points: int = 30
+    min_points: int = 90
     min_confidence: float = 0.0
-    refinements: int = 2
+    refinements: int = 4
     leftovers: Literal["nearest", "none"] = "nearest"
     max_seeds: int = 500
 

@@ -20,6 +20,7 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: dict[str, 
 
     def write(draft: Path) -> None:
         save_file(whole, draft, metadata=metadata)
+        draft.chmod(0o644)  # others on this machine may read it, as any file
 
     try:
         replace_atomically(path, write)

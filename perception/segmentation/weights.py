@@ -35,18 +35,22 @@ def build_network(config: GridNetConfig | SgpnConfig) -> Network:
     return GridNet(config) if isinstance(config, GridNetConfig) else Sgpn(config)
 
 
-def save_network(path: Path, network: Network, record: dict[str, Any]) -> None:
+def save_network(path: Path, network: Network, record: dict[str, Any], *, half: bool = False) -> None:
     """Write ``path`` (safetensors), which holds the record too, and the record as JSON beside it, each in one piece.
 
     Args:
         path: Ends with ``.safetensors``.
         network: On any device.
         record: How it was trained: anything JSON holds; ``parts`` names the parts that it is for.
+        half: Store what was learned in 16 bits, half the file; it is float32 again when loaded.
     """
     kind = "grid" if isinstance(network, GridNet) else "sgpn"
     facts = {"version": WEIGHTS_VERSION, "kind": kind, "network": asdict(network.config)}
     text = json_text({**facts, **record})
-    save_tensors(path, network.state_dict(), {"record": text})
+    tensors = dict(network.state_dict())
+    if half:
+        tensors |= {name: parameter.detach().half() for name, parameter in network.named_parameters()}
+    save_tensors(path, tensors, {"record": text})
     write_atomically(path.with_suffix(".json"), text)
 
 

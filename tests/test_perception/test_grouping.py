@@ -2,6 +2,7 @@
 
 import re
 import runpy
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
+from perception.segmentation import grouping
 from perception.segmentation.distance import squared_threshold
 from perception.segmentation.group_merging import GroupMergingConfig, merge_groups
 from perception.segmentation.grouping import (
     EXTENT_TOLERANCE,
-    GroupingConfig,
     group_points,
     half_sphere,
     propagate_labels,
 )
+
+# Small scenes: groups of less than what counts in a bin.
+GroupingConfig = partial(grouping.GroupingConfig, threshold=7.5, min_points=30, refinements=2)
+
 
 TWIN = runpy.run_path(str(Path(__file__).parents[1] / "reference" / "grouping_twin.py"))
 seeds = st.integers(0, 2**32 - 1)

@@ -48,6 +48,18 @@ def test_a_network_comes_back_to_the_bit(network: GridNet | Sgpn, tmp_path: Path
     assert sorted(p.name for p in tmp_path.iterdir()) == ["tee.json", "tee.safetensors"]
 
 
+def test_half_the_bits_are_nearly_the_same_network(tmp_path: Path) -> None:
+    paths = [tmp_path / "whole.safetensors", tmp_path / "half.safetensors"]
+    network = GridNet(GridNetConfig())
+    for path, half in zip(paths, (False, True), strict=True):
+        save_network(path, network, {}, half=half)
+    assert paths[1].stat().st_size < 0.51 * paths[0].stat().st_size
+    back = load_network(paths[1])
+    for name, value in network.state_dict().items():
+        assert back.state_dict()[name].dtype == value.dtype
+        torch.testing.assert_close(back.state_dict()[name], value, rtol=1e-3, atol=1e-6)
+
+
 def test_what_is_not_whole_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "tee.safetensors"
     with pytest.raises(WeightsError, match=r"tee\.safetensors holds no network of this project"):
