@@ -82,7 +82,8 @@ def test_too_few_points_have_no_instances(config: GridNetConfig | SgpnConfig) ->
 
 def test_one_giant_instance_is_cut_to_the_parts_size() -> None:
     scene = disc_scene(parts=1, points_each=900, void=0)
-    teller = predictor(SMALL, grouping=GroupingConfig(threshold=1e6, min_points=20))  # to the network, all points are one
+    # To the network, all points are one.
+    teller = predictor(SMALL, grouping=GroupingConfig(threshold=1e6, min_points=20))
     instances = teller.predict(scene.boundary, scene.surface, D_MAX / 4)  # a model of a quarter of the true size
     assert instances
     for instance in instances:
