@@ -111,3 +111,12 @@ def framed(depth: NDArray[np.float32]) -> Frame:
 def placed(part: PartModel, T: Floats) -> trimesh.Trimesh:
     """Return a part's mesh in the camera frame."""
     return part.mesh.copy().apply_transform(T)
+
+
+def scattered(rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Return boundary points all over a small space, with any tangents, some of them 0."""
+    points = rng.uniform((-0.05, -0.05, 0.4), (0.05, 0.05, 0.6), (800, 3))
+    tangents = rng.normal(size=points.shape)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    tangents[::7] = 0.0
+    return points, tangents

@@ -1,0 +1,1 @@
+"""Boundary segments to 6D poses."""

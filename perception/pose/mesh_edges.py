@@ -1,0 +1,220 @@
+"""The edges of a mesh that a camera sees: creases, silhouettes and depth jumps, sampled on the mesh itself.
+
+Every discontinuity of depth in the image of a polyhedron lies on a mesh edge between a face that is turned to the
+camera and one that is not, and every step of the normal on a mesh edge too. So no image is drawn: such edges are
+sampled, and rays decide which samples are seen and what lies behind them. Points and tangents are exact.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from perception.geometry import Floats
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+EDGE_ON = 1e-4  # cosine under which a face counts as turned away: an exactly edge-on face must not flicker
+LIFT = 1e-4  # of the diameter: how far a ray starts off the surface, far above Embree's single precision (1e-7)
+ASIDE = 0.004  # of the diameter: how far beside an edge one looks for what lies behind it, a pixel of a close view
+BULGE = 0.25  # of the diameter: a surface that is nearer by more, just inside a silhouette, is another one
+STRAIGHT = 0.9  # linearity under which a chain has a corner and its edges keep their own tangents
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EdgeSamples:
+    """Points on the mesh edges where the surface bends.
+
+    Attributes:
+        points: (S, 3) part frame [m].
+        tangents: (S, 3) unit, along the edge.
+        faces: (S, 2) the two faces that meet.
+        opposite: (S, 2, 3) the corner of each face that is not on the edge [m].
+        outward: (S, 3) unit mean of both normals.
+        ends: (S, 2) vertices of the edge.
+        length: (S,) of the edge [m].
+        crease: (S,) whether the normals differ by more than the crease angle.
+    """
+
+    points: Floats
+    tangents: Floats
+    faces: Ints
+    opposite: Floats
+    outward: Floats
+    ends: Ints
+    length: Floats
+    crease: Bools
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeLimits:
+    """What counts as an edge; lengths in metres."""
+
+    crease: float  # angle between normals that shading shows [rad]
+    depth_jump: float  # step of depth that shading shows [m]
+    diameter: float  # of the part [m]
+
+
+def sample_edges(mesh: trimesh.Trimesh, crease: float, step: float) -> EdgeSamples:
+    """Sample every mesh edge at most ``step`` [m] apart, at the middles of equal pieces; flat seams are left out."""
+    bent = mesh.face_adjacency_angles > 1e-6
+    ends = np.asarray(mesh.face_adjacency_edges[bent], dtype=np.int64)
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    start, stop = vertices[ends[:, 0]], vertices[ends[:, 1]]
+    length = np.linalg.norm(stop - start, axis=1)
+    pieces = np.maximum(np.ceil(length / step - 1e-9), 1).astype(np.int64)
+    edge = np.repeat(np.arange(len(ends)), pieces)
+    within = np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    share = ((within + 0.5) / pieces[edge])[:, None]
+    faces = np.asarray(mesh.face_adjacency[bent], dtype=np.int64)
+    outward = mesh.face_normals[faces].sum(axis=1)
+    return EdgeSamples(
+        points=(1 - share) * start[edge] + share * stop[edge],
+        tangents=_unit(stop - start)[edge],
+        faces=faces[edge],
+        opposite=vertices[mesh.face_adjacency_unshared[bent]][edge],
+        outward=_unit(outward)[edge],
+        ends=ends[edge],
+        length=length[edge],
+        crease=(mesh.face_adjacency_angles[bent] > crease + 1e-6)[edge],
+    )
+
+
+def seen_edges(mesh: trimesh.Trimesh, samples: EdgeSamples, eye: Floats, limits: EdgeLimits) -> Ints:
+    """Return which samples are edges of the view from ``eye``, in ascending order.
+
+    A crease is one where both faces are turned to the camera. Where only one is, the surface ends in the image, and
+    what lies beside it must be nothing, farther by a depth jump, or behind it and turned by the crease angle.
+
+    Args:
+        mesh: The part; rays are cast by trimesh with Embree.
+        samples: Of the same mesh.
+        eye: (4,) homogeneous position of the camera [m]; last entry 0 for a parallel view along the first three.
+        limits: What counts as an edge.
+    """
+    front = _facing(mesh, eye)[samples.faces]
+    one = front[:, 0] != front[:, 1]
+    chosen = np.nonzero((front.all(axis=1) & samples.crease) | one)[0]
+    towards = towards_eye(samples.points[chosen], eye)
+    lifted = samples.points[chosen] + LIFT * limits.diameter * samples.outward[chosen]
+    free = ~_blocked(mesh, lifted, towards)
+    chosen, towards = chosen[free], towards[free]
+    ending = one[chosen]
+    near = front[chosen[ending], 1].astype(np.int64)
+    kept = ~ending
+    kept[ending] = _stands_out(mesh, samples, chosen[ending], near, towards[ending], limits)
+    seen: Ints = chosen[kept]
+    return seen
+
+
+def towards_eye(points: Floats, eye: Floats) -> Floats:
+    """Return the (N, 3) unit directions from points to a homogeneous (4,) eye."""
+    return _unit(eye[:3] - eye[3] * points)
+
+
+def inset_points(
+    mesh: trimesh.Trimesh, samples: EdgeSamples, chosen: Ints, eye: Floats, inset: float, diameter: float
+) -> Floats:
+    """Return the (C, 3) points of the surface that an image shows ``inset`` [m] inside chosen curved silhouettes.
+
+    Where the ray finds no surface, or one that is not the curved surface itself, the silhouette's own point is kept.
+    """
+    points = samples.points[chosen].copy()
+    if inset == 0 or len(chosen) == 0:
+        return points
+    towards = towards_eye(points, eye)
+    aside = _unit(np.cross(samples.tangents[chosen], towards))
+    outwards = np.sign(np.einsum("ci,ci->c", aside, samples.outward[chosen]))[:, None] * aside
+    origins = points - inset * outwards + 2 * diameter * towards
+    hits, ray, _ = mesh.ray.intersects_location(origins, -towards, multiple_hits=False)
+    nearer = np.einsum("ci,ci->c", hits - points[ray], towards[ray])
+    same = (nearer > 0) & (nearer < BULGE * diameter)
+    points[ray[same]] = hits[same]
+    return points
+
+
+def chain_tangents(samples: EdgeSamples, chosen: Ints, radius: float) -> Floats:
+    """Return the (C, 3) tangents of chosen samples, those of short edges from the chain they are part of.
+
+    The silhouette of a finely meshed curved surface zigzags along mesh edges; its direction is that of the samples
+    within ``radius`` [m] on the same chain (first principal axis), unless these turn a corner.
+    """
+    tangents = samples.tangents[chosen].copy()
+    short = np.nonzero(samples.length[chosen] < radius)[0]
+    if len(short) == 0:
+        return tangents
+    points, chain = samples.points[chosen[short]], _chains(samples.ends[chosen[short]])
+    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
+    pairs = pairs[chain[pairs[:, 0]] == chain[pairs[:, 1]]]
+    values, axes = np.linalg.eigh(_scatter(points, np.concatenate([pairs, pairs[:, ::-1]])))
+    straight = values[:, 2] - values[:, 1] > STRAIGHT * values[:, 2]
+    tangents[short[straight]] = axes[straight, :, 2]
+    return tangents
+
+
+def _facing(mesh: trimesh.Trimesh, eye: Floats) -> Bools:
+    # The height of the eye over a face's plane is the same for all triangles of the plane, so they never disagree.
+    corner = mesh.triangles[:, 0]
+    height = np.einsum("fi,fi->f", mesh.face_normals, eye[:3] - eye[3] * corner)
+    reach = np.linalg.norm(eye[:3] - eye[3] * mesh.bounds.mean(axis=0))
+    facing: Bools = height > EDGE_ON * reach
+    return facing
+
+
+def _blocked(mesh: trimesh.Trimesh, origins: Floats, directions: Floats) -> Bools:
+    if len(origins) == 0:
+        return np.zeros(0, dtype=np.bool_)
+    hit: Bools = mesh.ray.intersects_first(origins, directions) >= 0
+    return hit
+
+
+def _stands_out(
+    mesh: trimesh.Trimesh, samples: EdgeSamples, chosen: Ints, near: Ints, towards: Floats, limits: EdgeLimits
+) -> Bools:
+    """Return for (C,) samples whose face ``near`` alone is seen whether the image changes across the edge."""
+    if len(chosen) == 0:
+        return np.zeros(0, dtype=np.bool_)
+    points, rows = samples.points[chosen], np.arange(len(chosen))
+    aside = _unit(np.cross(samples.tangents[chosen], towards))
+    inward = np.einsum("ci,ci->c", aside, samples.opposite[chosen, near] - points)
+    beside = points - (np.sign(inward) * ASIDE * limits.diameter)[:, None] * aside
+    back = 2 * limits.diameter
+    hits, ray, face = mesh.ray.intersects_location(beside + back * towards, -towards, multiple_hits=False)
+    drop, turn = np.full(len(rows), np.inf), np.zeros(len(rows))
+    drop[ray] = np.einsum("ci,ci->c", points[ray] - hits, towards[ray])
+    normals = mesh.face_normals[samples.faces[chosen, near]]
+    turn[ray] = np.arccos(np.clip(np.einsum("ci,ci->c", normals[ray], mesh.face_normals[face]), -1, 1))
+    stands_out: Bools = (drop > limits.depth_jump) | ((turn > limits.crease) & (drop > -ASIDE * limits.diameter))
+    return stands_out
+
+
+def _chains(ends: Ints) -> Ints:
+    vertices, compact = np.unique(ends, return_inverse=True)
+    compact = compact.reshape(-1, 2)
+    links = coo_matrix((np.ones(len(ends)), (compact[:, 0], compact[:, 1])), shape=(len(vertices), len(vertices)))
+    chain_of_vertex = connected_components(links, directed=False)[1]
+    return np.asarray(chain_of_vertex[compact[:, 0]], dtype=np.int64)
+
+
+def _scatter(points: Floats, pairs: Ints) -> Floats:
+    """Return the (N, 3, 3) covariance of each point and its neighbours, the second of each pair of it."""
+    count = np.ones(len(points))
+    np.add.at(count, pairs[:, 0], 1)
+    offsets = points[pairs[:, 1]] - points[pairs[:, 0]]
+    total, square = np.zeros((len(points), 3)), np.zeros((len(points), 3, 3))
+    np.add.at(total, pairs[:, 0], offsets)
+    np.add.at(square, pairs[:, 0], offsets[:, :, None] * offsets[:, None, :])
+    mean = total / count[:, None]
+    scatter: Floats = square / count[:, None, None] - mean[:, :, None] * mean[:, None, :]
+    return scatter
+
+
+def _unit(vectors: Floats) -> Floats:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    unit: Floats = vectors / np.where(length > 0, length, 1.0)
+    return unit

@@ -1,0 +1,121 @@
+"""Plain loops for the kernels of refinement and verification: every model point, every boundary point, every pixel."""
+
+import math
+
+import numpy as np
+
+
+def posed(T, points, normals):
+    return points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T
+
+
+def match_edges(T, points, tangents, boundary, boundary_tangents, gate, min_cosine):
+    """Return (M,) the nearest of all boundary points of like tangent, or -1."""
+    matches = []
+    for p, t in zip(*posed(T, points, tangents), strict=True):
+        like = [
+            (math.dist(p, boundary[k]), k) for k in range(len(boundary)) if abs(t @ boundary_tangents[k]) >= min_cosine
+        ]
+        near = [found for found in like if found[0] <= gate]
+        matches.append(min(near)[1] if near else -1)
+    return np.array(matches)
+
+
+def step_of(centre, arm, p):
+    """Return (3, 6): how a posed point moves with each of the six lengths of a motion."""
+    return np.array([np.cross(axis, p - centre) / arm for axis in np.eye(3)] + list(np.eye(3))).T
+
+
+def line_equations(T, points, matches, boundary, boundary_tangents, centre, arm):
+    """Return J'J, J'e, e'e of the distances to the lines, stacked."""
+    rows, errors = [np.zeros((0, 6))], [np.zeros(0)]
+    for p, k in zip(posed(T, points, points)[0], matches, strict=True):
+        if k < 0:
+            continue
+        across = np.eye(3) - np.outer(boundary_tangents[k], boundary_tangents[k])
+        rows.append(across @ step_of(centre, arm, p))
+        errors.append(across @ (p - boundary[k]))
+    J, e = np.concatenate(rows), np.concatenate(errors)
+    return J.T @ J, J.T @ e, e @ e, len(e) // 3
+
+
+def visible_samples(T, points, normals, min_cosine, spacing):
+    """Return (M,) whether a sample faces the camera and none of the same cell lies clearly before it."""
+    points_cam, normals_cam = posed(T, points, normals)
+    both = zip(points_cam, normals_cam, strict=True)
+    cosine = [-(n @ p) / np.linalg.norm(p) if p[2] > 1e-3 else -1.0 for p, n in both]
+    facing = [m for m in range(len(points)) if cosine[m] > 0]
+    visible = np.zeros(len(points), bool)
+    if not facing:
+        return visible
+    seen = points_cam[:, :2] / points_cam[:, 2:]
+    low, high = seen[facing].min(axis=0), seen[facing].max(axis=0)
+    cell = max(1.5 * spacing / points_cam[facing, 2].mean(), (high - low).max() / 1024)
+    cells = np.floor((seen - low) / cell)
+    for m in facing:
+        front = min(points_cam[k, 2] for k in facing if (cells[k] == cells[m]).all())
+        slope = math.tan(math.acos(min(cosine[m], 1.0)))
+        reach = 1.5 * cell * points_cam[m, 2] * slope + spacing
+        visible[m] = cosine[m] >= min_cosine and points_cam[m, 2] <= front + reach
+    return visible
+
+
+def measured_point(depth, K, u, v):
+    height, width = depth.shape
+    if not (0 <= u < width and 0 <= v < height) or depth[v, u] <= 0:
+        return None
+    return float(depth[v, u]) * np.linalg.solve(K, [u, v, 1.0])
+
+
+def pixel_of(K, p):
+    u, v, _ = K @ p / p[2]
+    return math.floor(u + 0.5), math.floor(v + 0.5)
+
+
+def surface_gaps(T, points, normals, visible, depth, K, radius):
+    """Return (M,) the least signed distance from the measured points around a sample's pixel to its plane."""
+    gaps = np.full(len(points), np.nan)
+    height, width = depth.shape
+    for m, (p, n) in enumerate(zip(*posed(T, points, normals), strict=True)):
+        if not visible[m]:
+            continue
+        u0, v0 = pixel_of(K, p)
+        if not (0 <= u0 < width and 0 <= v0 < height):
+            continue
+        around = [
+            measured_point(depth, K, u, v)
+            for v in range(v0 - radius, v0 + radius + 1)
+            for u in range(u0 - radius, u0 + radius + 1)
+        ]
+        found = [n @ (p - q) for q in around if q is not None]
+        if found:
+            gaps[m] = min(found, key=abs)
+    return gaps
+
+
+def measured_normal(depth, K, u, v, reach):
+    """Return the (3,) normal at a pixel by central differences, or None."""
+    ends = [measured_point(depth, K, u + i * reach, v + j * reach) for i, j in ((-1, 0), (1, 0), (0, -1), (0, 1))]
+    if any(end is None for end in ends):
+        return None
+    west, east, north, south = ends
+    normal = np.cross(south - north, east - west)
+    return normal / np.linalg.norm(normal)
+
+
+def plane_equations(T, points, normals, visible, depth, K, gate, min_cosine, reach, centre, arm):
+    """Return J'WJ, J'We, e'e and the count of the distances along the samples' normals, Tukey's weights in W."""
+    hessian, gradient, total, count = np.zeros((6, 6)), np.zeros(6), 0.0, 0
+    for m, (p, n) in enumerate(zip(*posed(T, points, normals), strict=True)):
+        q = measured_point(depth, K, *pixel_of(K, p)) if visible[m] else None
+        if q is None or abs(n @ (p - q)) >= gate:
+            continue
+        measured = measured_normal(depth, K, *pixel_of(K, p), reach)
+        if measured is None or n @ measured < min_cosine:
+            continue
+        row, error = n @ step_of(centre, arm, p), n @ (p - q)
+        weight = (1 - (error / gate) ** 2) ** 2
+        hessian += weight * np.outer(row, row)
+        gradient += weight * row * error
+        total, count = total + error**2, count + 1
+    return hessian, gradient, total, count

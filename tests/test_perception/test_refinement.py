@@ -1,0 +1,365 @@
+"""Recovery of poses from wires and from depth images, and the compiled kernels against their plain twins."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import seen_part as at
+import trimesh
+from seen_part import DISTANCE, SIGMA, K
+
+from perception.geometry import Floats, make_transform, rotation_about
+from perception.metrics.pose_error import pose_error
+from perception.part import PartModel, Symmetry
+from perception.pose import _refine_kernels as kernels
+from perception.pose.boundary_index import index_boundary
+from perception.pose.edge_models import EdgeModel
+from perception.pose.refinement import (
+    EdgeRefinement,
+    RefinedPose,
+    SurfaceRefinement,
+    refine_edges,
+    refine_surface,
+    view_direction,
+)
+from perception.pose.surface_model import surface_model
+from tests.reference import refine_twin as twin
+
+Z = np.array([0.0, 0.0, 1.0])
+ELL = at.ell()
+MODEL = at.wire_model(ELL)
+SURFACE = surface_model(ELL)
+OVER = rotation_about((1.0, 0.0, 0.0), np.pi)
+FROM_ABOVE = at.pose_of(ELL, OVER)  # its top square to the view
+LEANING = at.pose_of(ELL, rotation_about((1.0, 1.0, 0.0), 0.7) @ OVER)  # its top and two sides in view
+OFF = np.radians(5.0)
+
+
+def assert_at(pose: RefinedPose, T: Floats, shift: float, degrees: float, part: PartModel = ELL) -> None:
+    error = pose_error(pose.T_cam_part, T, part)
+    assert pose.converged
+    assert error.translation < shift
+    assert np.degrees(error.rotation) < degrees
+
+
+def ring(radius: float, height: float, count: int) -> tuple[Floats, Floats]:
+    """Return points on a circle about z and their tangents."""
+    angle = 2 * np.pi * np.arange(count) / count
+    cosine, sine = np.cos(angle), np.sin(angle)
+    points = np.column_stack([radius * cosine, radius * sine, np.full(count, height)])
+    return points, np.column_stack([-sine, cosine, np.zeros(count)])
+
+
+# Point to line
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_edges_recover_a_pose_5_mm_and_5_degrees_off(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    T = at.random_pose(ELL, rng)
+    boundary = at.wire_index(T, ELL, rng)
+    wide = EdgeRefinement(gates=(0.12, 0.05, 0.02, 0.01))  # the part is small: 5 mm are a fifteenth of it
+    pose = refine_edges(at.beside(T, ELL, rng, 0.005, OFF), MODEL, boundary, wide)
+    assert_at(pose, T, 1e-5, 0.02)
+    assert pose.error < 1e-5
+    assert pose.inliers == len(MODEL)
+    assert_at(refine_edges(at.beside(T, ELL, rng, 0.003, OFF), MODEL, boundary), T, 1e-5, 0.02)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_edges_recover_a_pose_from_noisy_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    T = at.random_pose(ELL, rng)
+    boundary = index_boundary(*at.wire_scene(T, ELL, rng, noise=SIGMA), ELL.d_max)
+    pose = refine_edges(at.beside(T, ELL, rng, 0.003, OFF), MODEL, boundary)
+    assert_at(pose, T, 0.0002, 0.4)
+    assert 1e-5 < pose.error < 2 * SIGMA
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_edges_recover_a_pose_of_which_half_is_hidden(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    T = at.random_pose(ELL, rng)
+    keep = at.wires(ELL, 0.0005)[0][:, 0] < 0.0205
+    assert 0.4 < keep.mean() < 0.6
+    boundary = index_boundary(*at.wire_scene(T, ELL, rng, noise=SIGMA, keep=keep), ELL.d_max)
+    assert_at(refine_edges(at.beside(T, ELL, rng, 0.002, OFF / 2), MODEL, boundary), T, 0.0006, 1.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_edges_recover_a_pose_among_lines_of_other_parts(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    T = at.random_pose(ELL, rng)
+    points, tangents = at.wire_scene(T, ELL, rng, noise=SIGMA)
+    for _ in range(12):  # lines through the part's neighbourhood in all directions
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        through = T[:3, :3] @ ELL.centre + T[:3, 3] + 0.02 * rng.normal(size=3)
+        line = through + np.outer(np.arange(-60, 60), direction / 1000)
+        points, tangents = np.vstack([points, line]), np.vstack([tangents, np.tile(direction, (len(line), 1))])
+    boundary = index_boundary(points, tangents, ELL.d_max)
+    assert_at(refine_edges(at.beside(T, ELL, rng, 0.003, OFF), MODEL, boundary), T, 0.0004, 0.6)
+
+
+def test_a_pose_slides_neither_along_nor_about_a_straight_edge() -> None:
+    x = np.linspace(-0.02, 0.02, 41)
+    along = np.tile([1.0, 0.0, 0.0], (len(x), 1))
+    model = replace(at.all_visible(np.column_stack([x, 0 * x, 0 * x]), along, ELL), centre=np.zeros(3))
+    x = np.arange(-0.1, 0.1, 0.0004)
+    rng = np.random.default_rng(0)
+    scene = np.column_stack([x, 0 * x, 0 * x + DISTANCE]) + SIGMA * rng.normal(size=(len(x), 3))
+    measured = np.array([1.0, 0.0, 0.0]) + 0.04 * rng.normal(size=scene.shape)  # whose noise seems to tell of a slide
+    boundary = index_boundary(scene, measured / np.linalg.norm(measured, axis=1, keepdims=True), ELL.d_max)
+    start = make_transform(rotation_about((1.0, 0.0, 0.0), 0.3), (0.007, 0.002, DISTANCE + 0.001))
+    pose = refine_edges(start, model, boundary)
+    assert pose.converged
+    np.testing.assert_allclose(pose.T_cam_part[:3, 3], [0.007, 0.0, DISTANCE], atol=0.0002)
+    np.testing.assert_allclose(pose.T_cam_part[:3, :3], start[:3, :3], atol=0.01)
+    naive = refine_edges(start, model, boundary, EdgeRefinement(observable=0.0, damping=0.0)).T_cam_part
+    assert abs(naive[0, 3] - 0.007) > 2 * abs(pose.T_cam_part[0, 3] - 0.007)
+
+
+def test_a_solid_of_revolution_is_found_without_spinning() -> None:
+    part = PartModel.from_mesh("disc", trimesh.creation.cylinder(0.03, 0.01, sections=48), Symmetry(axis=Z))
+    rims = [np.concatenate(halves) for halves in zip(ring(0.03, 0.005, 90), ring(0.02, -0.005, 60), strict=True)]
+    model = at.all_visible(rims[0], rims[1], part)
+    T = at.pose_of(part, rotation_about((1.0, 0.5, 0.0), 2.5))
+    fine = [np.concatenate(halves) for halves in zip(ring(0.03, 0.005, 600), ring(0.02, -0.005, 400), strict=True)]
+    boundary = index_boundary(fine[0] @ T[:3, :3].T + T[:3, 3], fine[1] @ T[:3, :3].T, part.d_max)
+    tilt = rotation_about((1.0, 0.0, 0.0), OFF / 2) @ T[:3, :3] @ rotation_about(Z, 0.7)
+    start = make_transform(tilt, T[:3, 3] + [0.001, -0.001, 0.001])
+    pose = refine_edges(start, model, boundary)
+    assert_at(pose, T, 1e-5, 0.05, part)
+    spin = T[:3, :3].T @ pose.T_cam_part[:3, :3]
+    # The rims were 1.7 mm off: half a millimetre of their 30 mm radius is no more than the way there turns them.
+    assert np.arctan2(spin[1, 0], spin[0, 0]) == pytest.approx(0.7, abs=0.015)
+
+
+def test_a_pose_far_away_stays_and_has_not_converged() -> None:
+    rng = np.random.default_rng(0)
+    boundary = at.wire_index(LEANING, ELL, rng)
+    far = make_transform(None, (0.15, 0.0, 0.0)) @ LEANING
+    pose = refine_edges(far, MODEL, boundary)
+    assert (pose.converged, pose.inliers, pose.iterations, pose.error) == (False, 0, 0, np.inf)
+    assert pose.T_cam_part.tobytes() == far.tobytes()
+    behind = make_transform(None, (0.0, 0.0, -2.0)) @ LEANING
+    assert not refine_edges(behind, MODEL, boundary).converged
+    inside = make_transform(None, -LEANING[:3, :3] @ ELL.centre - LEANING[:3, 3]) @ LEANING
+    assert not refine_edges(inside, MODEL, boundary).converged
+
+
+def test_too_few_matches_are_not_converged() -> None:
+    rng = np.random.default_rng(0)
+    keep = at.wires(ELL, 0.0005)[0][:, 0] < 0.002
+    boundary = index_boundary(*at.wire_scene(LEANING, ELL, rng, keep=keep), ELL.d_max)
+    pose = refine_edges(LEANING, MODEL, boundary)
+    share = pose.inliers / len(MODEL)
+    assert 0.1 < share < 0.4
+    assert pose.converged
+    assert not refine_edges(LEANING, MODEL, boundary, EdgeRefinement(min_matched=0.5)).converged
+
+
+def test_a_pose_that_still_moves_has_not_converged() -> None:
+    boundary = at.wire_index(LEANING, ELL, np.random.default_rng(0))
+    start = at.beside(LEANING, ELL, np.random.default_rng(2), 0.003, OFF)
+    hasty = refine_edges(start, MODEL, boundary, EdgeRefinement(gates=(0.05,), iterations=1))
+    assert (hasty.converged, hasty.iterations) == (False, 1)
+    assert hasty.inliers > len(MODEL) / 2
+
+
+def test_no_gate_is_finer_than_the_sensor() -> None:
+    boundary = at.wire_index(LEANING, ELL, np.random.default_rng(0))
+    start = at.beside(LEANING, ELL, np.random.default_rng(2), 0.0004, 0.0)
+    assert_at(refine_edges(start, MODEL, boundary, EdgeRefinement(gates=(1e-6,))), LEANING, 1e-5, 0.02)
+    assert refine_edges(start, MODEL, boundary, EdgeRefinement(gates=(1e-6,), finest=0.0)).inliers < 6
+
+
+def test_the_signs_of_tangents_change_nothing() -> None:
+    points, tangents = at.wire_scene(LEANING, ELL, np.random.default_rng(1), noise=SIGMA)
+    start = at.beside(LEANING, ELL, np.random.default_rng(2), 0.003, OFF)
+    poses = [refine_edges(start, MODEL, index_boundary(points, s * tangents, ELL.d_max)) for s in (1.0, -1.0)]
+    assert poses[0].T_cam_part.tobytes() == poses[1].T_cam_part.tobytes()
+
+
+def test_the_order_of_the_points_changes_nothing() -> None:
+    points, tangents = at.wire_scene(LEANING, ELL, np.random.default_rng(1), noise=SIGMA)
+    start = at.beside(LEANING, ELL, np.random.default_rng(2), 0.003, OFF)
+    poses = [refine_edges(start, MODEL, index_boundary(points[::s], tangents[::s], ELL.d_max)) for s in (1, -1)]
+    np.testing.assert_allclose(poses[0].T_cam_part, poses[1].T_cam_part, atol=1e-9)
+
+
+def test_only_edges_of_the_view_are_matched() -> None:
+    """A second copy of the edges, seen from the other side only and 2 mm aside, must not pull."""
+    points = np.concatenate([MODEL.points, MODEL.points + 0.002])
+    direction = view_direction(LEANING, ELL.centre)
+    model = EdgeModel(
+        points=points,
+        tangents=np.tile(MODEL.tangents, (2, 1)),
+        visibility=np.repeat([1, 2], len(MODEL)).astype(np.uint32),
+        views=np.stack([direction, -direction]),
+        centre=ELL.centre,
+        d_max=ELL.d_max,
+    )
+    boundary = at.wire_index(LEANING, ELL, np.random.default_rng(0))
+    assert_at(refine_edges(LEANING, model, boundary), LEANING, 1e-5, 0.02)
+    turned = replace(model, views=-model.views)
+    assert pose_error(refine_edges(LEANING, turned, boundary).T_cam_part, LEANING, ELL).translation > 0.001
+
+
+def test_the_view_direction_points_from_the_part_to_the_camera() -> None:
+    np.testing.assert_allclose(view_direction(FROM_ABOVE, ELL.centre), [0.0, 0.0, 1.0], atol=1e-12)
+    assert view_direction(make_transform(), np.zeros(3)).tolist() == [0.0, 0.0, 1.0]
+
+
+# Point to plane
+
+
+@pytest.mark.parametrize("noise", [0.0, SIGMA])
+def test_the_surface_recovers_a_pose(noise: float) -> None:
+    frame = at.look_at(at.placed(ELL, LEANING), noise=noise)
+    for seed in range(3):
+        start = at.beside(LEANING, ELL, np.random.default_rng(seed), 0.0008, np.radians(1.0))
+        pose = refine_surface(start, SURFACE, frame, SurfaceRefinement(iterations=15))
+        assert_at(pose, LEANING, 0.0003, 0.3)
+        assert pose.error < 2e-4 + 1.2 * noise
+
+
+@pytest.mark.parametrize(("noise", "tilt"), [(0.0, 1e-5), (SIGMA, 0.01)])
+def test_the_surface_does_not_slide_a_face_in_its_plane(noise: float, tilt: float) -> None:
+    frame = at.look_at(at.placed(ELL, FROM_ABOVE), noise=noise)
+    start = make_transform(rotation_about((1.0, 0.0, 0.0), 0.03)) @ FROM_ABOVE
+    start[:3, 3] = FROM_ABOVE[:3, 3] + [0.002, -0.001, 0.0005]
+    pose = refine_surface(start, SURFACE, frame)
+    assert pose.converged
+    middle = ELL.centre * [1.0, 1.0, 0.0] + [0.0, 0.0, at.HEIGHT]  # of the top
+    found, began, true = (T[:3, :3] @ middle + T[:3, 3] for T in (pose.T_cam_part, start, FROM_ABOVE))
+    np.testing.assert_allclose(found[:2], began[:2], atol=0.0003)
+    assert found[2] == pytest.approx(true[2], abs=1e-6 + noise / 3)
+    assert np.arccos(-(pose.T_cam_part[:3, :3] @ Z)[2]) < tilt
+
+
+def test_a_surface_that_was_not_measured_is_not_converged() -> None:
+    frame = at.look_at()
+    floating = refine_surface(FROM_ABOVE, SURFACE, frame)
+    assert (floating.converged, floating.inliers, floating.error) == (False, 0, np.inf)
+    for aside in ((1.0, 0.0, 0.0), (0.0, 0.0, -2.0)):
+        assert not refine_surface(make_transform(None, aside) @ FROM_ABOVE, SURFACE, frame).converged
+
+
+def test_a_share_of_the_surface_must_match() -> None:
+    hidden = at.look_at(at.placed(ELL, FROM_ABOVE)).depth.copy()
+    hidden[:, : at.SIZE[0] // 2] = 0.3
+    assert refine_surface(FROM_ABOVE, SURFACE, at.framed(hidden)).converged
+    strict = SurfaceRefinement(min_matched=0.9)
+    assert not refine_surface(FROM_ABOVE, SURFACE, at.framed(hidden), strict).converged
+
+
+# Kernels
+
+
+def test_line_equations_are_those_of_the_twin_and_of_small_differences() -> None:
+    rng = np.random.default_rng(0)
+    points, tangents = at.scattered(rng)
+    tangents[::7] = Z
+    matches = rng.integers(-1, len(points), len(MODEL))
+    rest = (matches, points, tangents, np.array([0.01, 0.02, 0.5]), 0.04)
+    H, g, total, count = kernels.line_equations(LEANING, MODEL.points, *rest)
+    for have, want in zip((H, g, total, count), twin.line_equations(LEANING, MODEL.points, *rest), strict=True):
+        np.testing.assert_allclose(have, want, rtol=1e-9)
+    for i in range(6):
+        values = [
+            kernels.line_equations(nudged(LEANING, i, step, rest[3], rest[4]), MODEL.points, *rest)[2]
+            for step in (-1e-6, 1e-6)
+        ]
+        assert (values[1] - values[0]) / 4e-6 == pytest.approx(g[i], rel=1e-5, abs=1e-9)
+
+
+def nudged(T: Floats, freedom: int, step: float, centre: Floats, arm: float) -> Floats:
+    """Return ``T`` after a small motion in one of six freedoms."""
+    if freedom >= 3:
+        return make_transform(None, step * np.eye(3)[freedom - 3]) @ T
+    turn = rotation_about(np.eye(3)[freedom], step / arm)
+    return make_transform(turn, centre - turn @ centre) @ T
+
+
+def test_plane_equations_are_those_of_the_twin() -> None:
+    frame = at.look_at(at.placed(ELL, LEANING), noise=SIGMA)
+    depth = frame.depth.copy()
+    depth[::9] = 0.0
+    visible = SURFACE.visible(LEANING)
+    start = at.beside(LEANING, ELL, np.random.default_rng(0), 0.001, 0.03)
+    for aside in (0.0, 0.08):
+        T = make_transform(None, (aside, 0.0, 0.0)) @ start
+        rest = (visible, depth, K, 0.002, np.cos(0.7), 3, np.array([0.01, 0.02, 0.5]), 0.04)
+        have = kernels.plane_equations(T, SURFACE.points, SURFACE.normals, *rest)
+        want = twin.plane_equations(T, SURFACE.points, SURFACE.normals, *rest)
+        for a, b in zip(have, want, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-12)
+        assert aside or have[3] > 100
+
+
+def test_a_measured_normal_is_that_of_the_plane_seen() -> None:
+    normal = np.array([0.3, -0.4, -1.0])
+    normal /= np.linalg.norm(normal)
+    v, u = np.mgrid[: at.SIZE[1], : at.SIZE[0]]
+    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], axis=-1)
+    depth = (normal[2] * 0.5 / (rays @ normal)).astype(np.float32)
+    np.testing.assert_allclose(kernels.measured_normal(depth, K, 60, 50, 4), normal, atol=1e-4)
+    depth[54, 60] = 0.0
+    assert kernels.measured_normal(depth, K, 60, 50, 4) == (0.0, 0.0, 0.0)
+    assert kernels.measured_normal(depth, K, 3, 100, 4) == (0.0, 0.0, 0.0)
+
+
+# Bad input
+
+
+def test_a_bad_pose_is_refused() -> None:
+    boundary = at.wire_index(LEANING, ELL, np.random.default_rng(0))
+    frame = at.look_at()
+    for refine in (lambda T: refine_edges(T, MODEL, boundary), lambda T: refine_surface(T, SURFACE, frame)):
+        with pytest.raises(ValueError, match="T_cam_part must be finite"):
+            refine(LEANING * np.nan)
+        with pytest.raises(ValueError, match=r"T_cam_part must be \(4, 4\), got \(3, 4\)"):
+            refine(LEANING[:3])
+
+
+def test_a_frame_without_depth_is_refused() -> None:
+    empty = at.framed(np.zeros((6, 8), np.float32))
+    with pytest.raises(ValueError, match="the frame must have a depth somewhere"):
+        refine_surface(LEANING, SURFACE, empty)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gates": ()}, "gates must be positive and at least one"),
+        ({"gates": (0.05, 0.0)}, "gates must be positive and at least one"),
+        ({"finest": -1.0}, "finest must not be negative, got -1.0"),
+        ({"iterations": 0}, "iterations must be at least 1, got 0"),
+        ({"max_angle": 25.0}, r"max_angle must be in \(0, pi/2\] rad, got 25.0"),
+        ({"damping": -1.0}, "damping must not be negative, got -1.0"),
+        ({"observable": np.nan}, "observable must not be negative, got nan"),
+        ({"still": np.inf}, "still must not be negative, got inf"),
+        ({"min_matched": 1.1}, r"min_matched must be in \[0, 1\], got 1.1"),
+    ],
+)
+def test_nonsense_in_the_edge_config_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(EdgeRefinement(), **change)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gate": 0.0}, "gate must be positive, got 0.0"),
+        ({"finest": -1.0}, "finest must not be negative, got -1.0"),
+        ({"iterations": 0}, "iterations must be at least 1, got 0"),
+        ({"max_angle": 0.0}, r"max_angle must be in \(0, pi/2\] rad, got 0.0"),
+        ({"reach": 0}, "reach must be at least 1 px, got 0"),
+        ({"min_matched": -0.1}, r"min_matched must be in \[0, 1\], got -0.1"),
+    ],
+)
+def test_nonsense_in_the_surface_config_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(SurfaceRefinement(), **change)
