@@ -190,7 +190,7 @@ def test_settings_are_tried_at_once(weights: Path) -> None:
             assert method.at(setting).setting == setting
             alone = Segmenter(method.at(setting)).segment(scene.boundary, scene.surface, scene.d_max)
             assert [i.point_idx.tolist() for i in alone] == [i.point_idx.tolist() for i in instances]
-    assert MethodConfig(weights=weights).setting == 7.5
+    assert MethodConfig(weights=weights).setting == 9.0
 
 
 def test_a_network_is_kept_until_its_weights_change(tmp_path: Path) -> None:
@@ -307,7 +307,7 @@ def test_what_cannot_be_done_claims_no_folder(tmp_path: Path, config: Evaluation
         with pytest.raises(error, match=text):
             next(evaluate_scenes(wrong, 1, out))
     (tmp_path / "none.safetensors").write_bytes(b"nothing")
-    with pytest.raises(WeightsError, match=r"none\.json does not describe a network"):
+    with pytest.raises(WeightsError, match=r"none\.safetensors holds no network"):
         next(evaluate_scenes(replace(config, method=lost), 1, out))
     with pytest.raises(ValueError, match="count and workers must be at least 1, got 0 and 1"):
         next(evaluate_scenes(config, 0, out))
