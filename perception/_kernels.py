@@ -21,33 +21,90 @@ def foreground_pixels(pixels: Ints, depth: Singles, radius: int, widest: int, st
     its own outline lies behind the hole. Of its pixels within ``step`` of the nearest depth, the one closest in the
     image is taken; the nearer one, then the first in reading order, decides a tie.
     """
-    height, width = depth.shape
+    height = len(depth)
     out = np.full((len(pixels), 2), -1, np.int64)
+    nearest_in_row, offsets = _row_minima(depth, widest), _from_the_middle(widest)
     for i in range(len(pixels)):
         u0, v0 = pixels[i]
-        for r in range(radius, widest + 1):
-            top, bottom, left, right = max(v0 - r, 0), min(v0 + r, height - 1), max(u0 - r, 0), min(u0 + r, width - 1)
-            nearest, whole = np.inf, True
-            for v in range(top, bottom + 1):
-                for u in range(left, right + 1):
-                    if depth[v, u] <= 0.0:
-                        whole = False
-                    elif depth[v, u] < nearest:
-                        nearest = depth[v, u]
-            if (not whole and r < widest) or nearest == np.inf:
-                continue
-            best, best_depth = 2 * (widest + 1) ** 2, np.inf
-            for v in range(top, bottom + 1):
-                for u in range(left, right + 1):
-                    z = depth[v, u]
-                    if z <= 0.0 or z > nearest + step:
-                        continue
-                    square = (u - u0) ** 2 + (v - v0) ** 2
-                    if square < best or (square == best and z < best_depth):
-                        best, best_depth = square, z
-                        out[i, 0], out[i, 1] = u, v
-            break
+        r, nearest = radius, _nearest_of_whole(depth, u0, v0, radius)
+        if nearest == np.inf:
+            # A hole in one window is in all that hold it: the window grows to the widest at once.
+            r = widest
+            for z in nearest_in_row[max(v0 - r, 0) : min(v0 + r, height - 1) + 1, u0]:
+                if z < nearest:
+                    nearest = z
+        if nearest < np.inf:
+            out[i] = _closest_pixel(depth, u0, v0, r, nearest + step, offsets)
     return out
+
+
+@njit(cache=True, nogil=True)
+def _nearest_of_whole(depth: Singles, u0: int, v0: int, r: int) -> float:
+    """Return the smallest depth of a window, inf where one is missing."""
+    height, width = depth.shape
+    nearest = np.inf
+    for v in range(max(v0 - r, 0), min(v0 + r, height - 1) + 1):
+        for u in range(max(u0 - r, 0), min(u0 + r, width - 1) + 1):
+            if depth[v, u] <= 0.0:
+                return np.inf
+            if depth[v, u] < nearest:
+                nearest = depth[v, u]
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def _row_minima(depth: Singles, radius: int) -> Singles:
+    """Return (H, W) the smallest depth of a row's pixels up to ``radius`` away, inf for none."""
+    height, width = depth.shape
+    out = np.empty((height, width), np.float32)
+    minima = np.empty(width + 2 * radius, np.float32)
+    for v in range(height):
+        minima[:] = np.inf
+        for u in range(width):
+            if depth[v, u] > 0.0:
+                minima[radius + u] = depth[v, u]
+        # Each value becomes the smallest of itself and the ``reach - 1`` after it, twice as many every time.
+        reach, side = 1, 2 * radius + 1
+        while reach < side:
+            shift = min(reach, side - reach)
+            here, ahead = minima[: len(minima) - shift], minima[shift:]
+            for u in range(len(here)):
+                here[u] = ahead[u] if ahead[u] < here[u] else here[u]
+            reach += shift
+        out[v] = minima[:width]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _from_the_middle(radius: int) -> Ints:
+    """Return (K, 4) offsets (u, v) in a window, the square of their length and their larger side.
+
+    They are sorted by the square, equal ones in reading order.
+    """
+    side = 2 * radius + 1
+    offsets = np.empty((side * side, 4), np.int64)
+    for k in range(len(offsets)):
+        u, v = k % side - radius, k // side - radius
+        offsets[k] = u, v, u * u + v * v, max(abs(u), abs(v))
+    return offsets[np.argsort(offsets[:, 2], kind="mergesort")]
+
+
+@njit(cache=True, nogil=True)
+def _closest_pixel(depth: Singles, u0: int, v0: int, r: int, farthest: float, offsets: Ints) -> tuple[int, int]:
+    """Return the pixel of a window closest to (u0, v0) whose depth is at most ``farthest``; of a tie the nearer one."""
+    height, width = depth.shape
+    inside = r <= u0 < width - r and r <= v0 < height - r
+    best_u, best_v, best_depth, last = -1, -1, np.inf, 2 * r * r
+    for k in range(len(offsets)):
+        if offsets[k, 2] > last:
+            break
+        u, v = u0 + offsets[k, 0], v0 + offsets[k, 1]
+        if offsets[k, 3] > r or not (inside or (0 <= u < width and 0 <= v < height)):
+            continue
+        z = depth[v, u]
+        if 0.0 < z <= farthest and z < best_depth:
+            best_u, best_v, best_depth, last = u, v, z, offsets[k, 2]
+    return best_u, best_v
 
 
 @njit(cache=True, nogil=True)
