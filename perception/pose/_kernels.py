@@ -18,7 +18,11 @@ Votes = NDArray[np.int32]
 
 
 class FeatureGrid(NamedTuple):
-    """Cells of the pair feature in absolute units: lengths [m], angles [rad], and the number of cells per axis."""
+    """Cells of the pair feature in absolute units: lengths [m], angles [rad], and the number of cells per axis.
+
+    ``folded``: tangents are turned towards d, so that their inclinations to it end at a right angle. ``flips``: the
+    table keeps the sign that the reference's tangent needed, else 0; it takes folded features.
+    """
 
     distance_step: float
     angle_step: float
@@ -27,8 +31,10 @@ class FeatureGrid(NamedTuple):
     nearest: float
     collinear: float
     distances: int
-    quarter_turns: int
+    inclinations: int
     half_turns: int
+    folded: bool
+    flips: bool
 
 
 @njit(cache=True, nogil=True)
@@ -87,7 +93,7 @@ def model_pairs(
 
     The angle is that of ``d`` in the reference's frame, negated where the sign bit is set (t_r.d < 0): with that the
     turn of the part is ``a_scene - angle`` for a scene pair of positive sign and ``a_scene + angle`` otherwise,
-    whether the tangent is flipped or not.
+    whether the tangent is flipped or not. Without ``grid.flips`` no sign bit is set.
 
     Args:
         points: (M, 3).
@@ -110,13 +116,13 @@ def model_pairs(
             if length == 0.0 or abs(cos_r) > straight:
                 continue
             f1 = _cell(length, per_metre, grid.distances)
-            f2 = _cell(math.acos(abs(cos_r)), per_radian, grid.quarter_turns)
-            f3 = _cell(math.acos(abs(cos_i)), per_radian, grid.quarter_turns)
-            opposed = (cos_r < 0) != (cos_i < 0)
+            f2 = _cell(math.acos(abs(cos_r) if grid.folded else cos_r), per_radian, grid.inclinations)
+            f3 = _cell(math.acos(abs(cos_i) if grid.folded else cos_i), per_radian, grid.inclinations)
+            opposed = grid.folded and (cos_r < 0) != (cos_i < 0)
             f4 = _cell(math.acos(-between if opposed else between), per_radian, grid.half_turns)
-            sign = 1 if cos_r < 0 else 0
+            sign = 1 if grid.flips and cos_r < 0 else 0
             angle = math.floor((-turn if sign else turn) * (256 / (2 * math.pi))) & 255
-            cell = ((f1 * grid.quarter_turns + f2) * grid.quarter_turns + f3) * grid.half_turns + f4
+            cell = ((f1 * grid.inclinations + f2) * grid.inclinations + f3) * grid.half_turns + f4
             out[count] = (cell << 32) | (rows[r] << 9) | (sign << 8) | angle
             count += 1
     return out[:count]
@@ -153,7 +159,8 @@ def accumulate(
     """Add the votes of all pairs (r, i) to ``votes``.
 
     A pair looks up every cell within the noise (at most two along each axis), and both signs of a tangent that is
-    square to ``d`` within half an angle step; no cell twice for one sign.
+    square to ``d`` within half an angle step; no cell twice for one sign. Without ``grid.flips`` all votes are cast
+    with sign 0, and no cell is looked up twice.
 
     Args:
         votes: (2 R, B) votes for row, flip and turn, changed in place.
@@ -167,7 +174,7 @@ def accumulate(
         grid: Cells.
     """
     farthest = grid.distances * grid.distance_step
-    straight, square = math.cos(grid.collinear), math.sin(grid.angle_step / 2)
+    straight, square = math.cos(grid.collinear), math.sin(grid.angle_step / 2) if grid.folded else 0.0
     per_metre, per_radian = 1.0 / grid.distance_step, 1.0 / grid.angle_step
     bins, flat = votes.shape[1], votes.reshape(-1)
     for i in range(len(points)):
@@ -175,30 +182,33 @@ def accumulate(
         if length == 0.0 or abs(cos_r) > straight:
             continue
         low1, high1 = _cells(length, per_metre, grid.distance_noise, grid.distances)
-        low2, high2 = _cells(math.acos(abs(cos_r)), per_radian, grid.angle_noise, grid.quarter_turns)
-        low3, high3 = _cells(math.acos(abs(cos_i)), per_radian, grid.angle_noise, grid.quarter_turns)
+        angle_r = math.acos(abs(cos_r) if grid.folded else cos_r)
+        angle_i = math.acos(abs(cos_i) if grid.folded else cos_i)
+        low2, high2 = _cells(angle_r, per_radian, grid.angle_noise, grid.inclinations)
+        low3, high3 = _cells(angle_i, per_radian, grid.angle_noise, grid.inclinations)
         f4 = math.acos(between)
         like = _cells(f4, per_radian, grid.angle_noise, grid.half_turns)
         unlike = _cells(math.pi - f4, per_radian, grid.angle_noise, grid.half_turns)
         turn = math.floor(angle * (65536 / (2 * math.pi))) & 65535
         for sign in range(2):
-            if sign != (1 if cos_r < 0 else 0) and abs(cos_r) >= square:
+            if sign != (1 if cos_r < 0 else 0) and (abs(cos_r) >= square or not grid.flips):
                 continue
-            opposed = (sign == 1) != (cos_i < 0)
+            opposed = grid.folded and (sign == 1) != (cos_i < 0)
             first, second = (unlike, like) if opposed else (like, unlike)
-            if abs(cos_i) >= square:
+            if abs(cos_i) >= square and (abs(cos_r) >= square or grid.flips):
                 second = (1, 0)
+            flip = sign if grid.flips else 0
             for f1 in range(low1, high1 + 1):
                 for f2 in range(low2, high2 + 1):
                     for f3 in range(low3, high3 + 1):
-                        base = ((f1 * grid.quarter_turns + f2) * grid.quarter_turns + f3) * grid.half_turns
+                        base = ((f1 * grid.inclinations + f2) * grid.inclinations + f3) * grid.half_turns
                         for f in range(first[0], first[1] + 1):
                             c = base + f
-                            _cast(flat, entries, offsets[c], offsets[c + 1], weights[c], turn, sign, bins)
+                            _cast(flat, entries, offsets[c], offsets[c + 1], weights[c], turn, flip, bins)
                         for f in range(second[0], second[1] + 1):
                             c = base + f
                             if f < first[0] or f > first[1]:
-                                _cast(flat, entries, offsets[c], offsets[c + 1], weights[c], turn, sign, bins)
+                                _cast(flat, entries, offsets[c], offsets[c + 1], weights[c], turn, flip, bins)
 
 
 @njit(cache=True, nogil=True)

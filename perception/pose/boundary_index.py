@@ -36,6 +36,11 @@ class BoundaryIndex:
     def __len__(self) -> int:
         return len(self.points_cam)
 
+    @property
+    def arrays(self) -> tuple[Floats, Floats, NDArray[np.int64], tuple[int, int], Floats, float]:
+        """What the kernels take."""
+        return self.points_cam, self.tangents_cam, self.starts, self.shape, self.origin, self.cell
+
     def match(
         self, T_cam_part: Floats, points: Floats, tangents: Floats, *, gate: float, max_angle: float
     ) -> NDArray[np.int64]:
@@ -52,12 +57,7 @@ class BoundaryIndex:
             T_cam_part,
             points,
             tangents,
-            self.points_cam,
-            self.tangents_cam,
-            self.starts,
-            self.shape,
-            self.origin,
-            self.cell,
+            *self.arrays,
             gate,
             float(np.cos(max_angle)),
         )

@@ -56,16 +56,38 @@ def cluster_poses(
     heads, sums = [], []
     while len(left):
         head = left[0]
-        shifts = np.linalg.norm(centres[left] - centres[head], axis=1)
-        near = shifts <= config.translation * part.d_max
-        rotations = T_cam_part[left[near], :3, :3]
-        near[near] = rotations_within(T_cam_part[head, :3, :3], rotations, part.symmetry, config.rotation)
+        near = _near(head, left, centres, T_cam_part, part, config)
         near[0] = True
         heads.append(head)
         sums.append(float(scores[left[near]].sum()))
         left = left[~near]
     order = np.lexsort((heads, -np.array(sums)))
     return np.array(heads, np.int64)[order], np.array(sums, np.float64)[order]
+
+
+def are_alike(
+    T_cam_part: Floats, others: Floats, part: PartModel, config: ClusterConfig | None = None
+) -> NDArray[np.bool_]:
+    """Return (K,) whether each of (K, 4, 4) poses would be in the cluster of a (4, 4) one.
+
+    Raises:
+        ValueError: A shape is wrong.
+    """
+    require_shape("T_cam_part", T_cam_part, (4, 4))
+    require_shape("others", others, (None, 4, 4))
+    poses = np.concatenate([T_cam_part[None], others])
+    places = np.arange(1, len(poses))
+    return _near(0, places, transform_point_each(poses, part.centre), poses, part, config or ClusterConfig())
+
+
+def _near(
+    head: int, others: NDArray[np.int64], centres: Floats, poses: Floats, part: PartModel, config: ClusterConfig
+) -> NDArray[np.bool_]:
+    """Return (O,) whether ``others`` are within the limits of ``head``; both are indices into ``poses``."""
+    near: NDArray[np.bool_] = np.linalg.norm(centres[others] - centres[head], axis=1) <= config.translation * part.d_max
+    rotations = poses[others[near], :3, :3]
+    near[near] = rotations_within(poses[head, :3, :3], rotations, part.symmetry, config.rotation)
+    return near
 
 
 def rotations_within(rotation: Floats, others: Floats, symmetry: Symmetry, limit: float) -> NDArray[np.bool_]:

@@ -4,6 +4,7 @@ Reconstructed from the abstract of Liu et al., "PPF-MEAM", Sensors 18 (2018). Ed
 not vote together, so that each edge point knows its views; one list holds the points of all views.
 """
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -16,7 +17,6 @@ from perception.part import PartModel
 from perception.pose.mesh_edges import (
     Bools,
     EdgeLimits,
-    EdgeSamples,
     Ints,
     chain_tangents,
     inset_points,
@@ -88,6 +88,11 @@ class EdgeModel:
         visible: Bools = (self.visibility >> np.uint32(view)) & np.uint32(1) == 1
         return visible
 
+    def seen_from(self, direction_part: ArrayLike) -> tuple[Floats, Floats]:
+        """Return (S, 3) points and (S, 3) tangents of the view nearest to a (3,) direction towards the camera."""
+        seen = self.visible_from(direction_part)
+        return self.points[seen], self.tangents[seen]
+
     def visible_from(self, direction_part: ArrayLike) -> Bools:
         """Return the (M,) mask of the edge points of the view nearest to a (3,) direction towards the camera."""
         require_shape("direction_part", np.asarray(direction_part), (3,))
@@ -141,12 +146,7 @@ def edge_model(part: PartModel, config: EdgeModelConfig | None = None) -> EdgeMo
         for a mesh of 2000 faces and 14 views.
     """
     config = config or EdgeModelConfig()
-    mesh = part.mesh
-    if len(mesh.faces) == 0 or not mesh.is_volume:
-        raise ValueError(f"the mesh of {part.name!r} must enclose a volume (watertight, normals outwards)")
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    key = digest(_VERSION, vertices, faces, part.d_max, np.asarray(part.centre), asdict(config))
-    arrays = cached_arrays("edges", key, lambda: _compute(part, config))
+    arrays = cached_arrays("edges", edges_key(part, config, _VERSION), lambda: _compute(part, config))
     return EdgeModel(
         points=arrays["points"],
         tangents=arrays["tangents"],
@@ -157,33 +157,48 @@ def edge_model(part: PartModel, config: EdgeModelConfig | None = None) -> EdgeMo
     )
 
 
+def edges_key(part: PartModel, config: EdgeModelConfig, version: int) -> str:
+    """Return the hash of all that the edges of a part depend on.
+
+    Raises:
+        ValueError: If the mesh is empty, open or turned inside out.
+    """
+    mesh = part.mesh
+    if len(mesh.faces) == 0 or not mesh.is_volume:
+        raise ValueError(f"the mesh of {part.name!r} must enclose a volume (watertight, normals outwards)")
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    return digest(version, vertices, faces, part.d_max, np.asarray(part.centre), asdict(config))
+
+
 def _compute(part: PartModel, config: EdgeModelConfig) -> Arrays:
     radius = config.thinning * part.d_max
-    samples = sample_edges(part.mesh, config.crease, radius / _SAMPLES)
-    points, tangents, masks = _merge_views(
-        len(samples.points), _views(part, samples, config), radius / _SAMPLES, config.thinning_angle / 3
-    )
+    views = list(edges_by_view(part, view_directions(config.views), config))
+    points, tangents, masks = _merge_views(views, radius / _SAMPLES, config.thinning_angle / 3)
     masks = thin(points, tangents, masks, radius, config.thinning_angle)
     kept = masks > 0
     return {"points": points[kept], "tangents": tangents[kept], "visibility": masks[kept]}
 
 
-def _views(part: PartModel, samples: EdgeSamples, config: EdgeModelConfig) -> list[tuple[Ints, Floats, Floats]]:
-    """Return for each view the samples that it sees, and their points and tangents in it."""
+def edges_by_view(
+    part: PartModel, directions: Floats, config: EdgeModelConfig
+) -> Iterator[tuple[Ints, Floats, Floats]]:
+    """Yield for each of (V, 3) unit directions the samples that it sees, and their points and tangents in it.
+
+    Samples are ``config.thinning / 5`` apart and numbered alike in all views; directions point towards the camera.
+    """
+    samples = sample_edges(part.mesh, config.crease, config.thinning * part.d_max / _SAMPLES)
     limits = EdgeLimits(crease=config.crease, depth_jump=config.depth_jump * part.d_max, diameter=part.d_max)
     creases = np.nonzero(samples.crease)[0]
     tangents = samples.tangents.copy()
     tangents[creases] = chain_tangents(samples, creases, config.thinning * part.d_max)
-    views = []
-    for direction in view_directions(config.views):
+    for direction in directions:
         eye = _eye(part, direction, config.distance)
         seen = seen_edges(part.mesh, samples, eye, limits)
         smooth = ~samples.crease[seen]
         points_seen, tangents_seen = samples.points[seen], tangents[seen]
         points_seen[smooth] = inset_points(part.mesh, samples, seen[smooth], eye, config.inset * part.d_max, part.d_max)
         tangents_seen[smooth] = chain_tangents(samples, seen[smooth], _WINDOW * part.d_max)
-        views.append((seen, points_seen, tangents_seen))
-    return views
+        yield seen, points_seen, tangents_seen
 
 
 def _eye(part: PartModel, direction: Floats, distance: float) -> Floats:
@@ -193,9 +208,10 @@ def _eye(part: PartModel, direction: Floats, distance: float) -> Floats:
 
 
 def _merge_views(
-    count: int, views: list[tuple[Ints, Floats, Floats]], distance: float, angle: float
+    views: list[tuple[Ints, Floats, Floats]], distance: float, angle: float
 ) -> tuple[Floats, Floats, Masks]:
     """Return points, tangents and view bits; a sample that looks different to another view comes more than once."""
+    count = max((int(seen.max(initial=-1)) + 1 for seen, _, _ in views), default=0)
     latest = np.full(count, -1, dtype=np.int64)
     points, tangents = np.zeros((0, 3)), np.zeros((0, 3))
     masks = np.zeros(0, dtype=np.uint32)

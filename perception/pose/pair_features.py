@@ -39,6 +39,8 @@ class PairConfig:
             ``weight_cap`` times the median cell, "none" 1. Parallel straight edges fill few cells with many entries;
             but equal entries are kept once, which removes most of the slide along them, and weights did not help more.
         weight_cap: See ``weighting``.
+        signs: "safe" as told at the top of this module. For comparison: "no_flip" forgets the sign that was needed and
+            takes every two tangents to point the same way; "raw" takes tangents' signs as they come.
         orbit_distance: Model points that a symmetry brings this close share one accumulator row ...
         orbit_angle: ... if their tangents agree within this [rad].
 
@@ -58,6 +60,7 @@ class PairConfig:
     same_view: bool = True
     weighting: Literal["inverse", "capped", "none"] = "none"
     weight_cap: float = 20.0
+    signs: Literal["safe", "no_flip", "raw"] = "safe"
     orbit_distance: float = 0.01
     orbit_angle: float = math.radians(8)
 
@@ -77,6 +80,8 @@ class PairConfig:
                 raise ValueError(f"{name} must be in [0, {high:.4g}], got {getattr(self, name)}")
         if self.weighting not in ("inverse", "capped", "none"):
             raise ValueError(f"weighting must be 'inverse', 'capped' or 'none', got {self.weighting!r}")
+        if self.signs not in ("safe", "no_flip", "raw"):
+            raise ValueError(f"signs must be 'safe', 'no_flip' or 'raw', got {self.signs!r}")
         for name in ("weight_cap", "orbit_distance"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
@@ -87,10 +92,11 @@ class PairConfig:
     def cells(self) -> int:
         """Number of cells of the table."""
         grid = self.grid(1.0)
-        return grid.distances * grid.quarter_turns**2 * grid.half_turns
+        return grid.distances * grid.inclinations**2 * grid.half_turns
 
     def grid(self, d_max: float) -> FeatureGrid:
         """Return the cells for a part of diameter ``d_max`` [m]."""
+        folded = self.signs != "raw"
         return FeatureGrid(
             distance_step=self.distance_step * d_max,
             angle_step=self.angle_step,
@@ -100,8 +106,10 @@ class PairConfig:
             collinear=self.collinear,
             # One more than radius / step, for pairs of exactly that length and a little noise.
             distances=math.floor(self.radius / self.distance_step + 1e-9) + 1,
-            quarter_turns=math.ceil(math.pi / 2 / self.angle_step - 1e-9),
+            inclinations=math.ceil((math.pi / 2 if folded else math.pi) / self.angle_step - 1e-9),
             half_turns=math.ceil(math.pi / self.angle_step - 1e-9),
+            folded=folded,
+            flips=self.signs == "safe",
         )
 
 

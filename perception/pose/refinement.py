@@ -4,22 +4,17 @@ Both are Gauss-Newton on SE(3). A motion that the matches do not tell, along par
 symmetry, is left out of each step: the pose stays where it was.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from perception.frame import Frame
 from perception.geometry import Floats, require_shape
-from perception.pose import _refine_kernels
+from perception.pose import _descent_kernels
+from perception.pose._descent_kernels import MIN_MATCHES
+from perception.pose.appearances import SeenEdges
 from perception.pose.boundary_index import BoundaryIndex
-from perception.pose.edge_models import EdgeModel
 from perception.pose.surface_model import SurfaceModel
-
-Equations = tuple[Floats, Floats, float, int]
-MIN_MATCHES = 6  # one for each of the six freedoms
-SETTLED = 2e-3  # of d_max; the length of a last step up to which a refinement counts as converged
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +44,9 @@ class EdgeRefinement:
 class SurfaceRefinement:
     """Point-to-plane steps on the depth image; lengths are shares of d_max unless they say metres."""
 
-    gate: float = 0.02  # largest distance of a match; Tukey's weight falls to 0 there
-    finest: float = 0.0009  # the gate is never smaller: three standard deviations of a good sensor's noise [m]
-    iterations: int = 5
+    gates: tuple[float, ...] = (0.06, 0.02)  # largest distance of a match, stage by stage; Tukey's weight is 0 there
+    finest: float = 0.0009  # no gate is smaller: three standard deviations of a good sensor's noise [m]
+    iterations: int = 5  # of each stage
     max_angle: float = float(np.deg2rad(40.0))  # between the model's normal and the measured one [rad]
     reach: int = 3  # of the central differences that give the measured normal [px]
     damping: float = 1e-3  # added to each freedom, in shares of a match
@@ -60,8 +55,8 @@ class SurfaceRefinement:
     min_matched: float = 0.2  # share of the visible samples matched in the end; with fewer it has not converged
 
     def __post_init__(self) -> None:
-        if not 0 < self.gate < np.inf:
-            raise ValueError(f"gate must be positive, got {self.gate}")
+        if len(self.gates) == 0 or not all(0 < gate < np.inf for gate in self.gates):
+            raise ValueError(f"gates must be positive and at least one, got {self.gates}")
         _require_common(self.iterations, self.max_angle, self.damping, self.observable, self.still)
         if not 0 <= self.finest < np.inf:
             raise ValueError(f"finest must not be negative, got {self.finest}")
@@ -91,7 +86,7 @@ class RefinedPose:
 
 
 def refine_edges(
-    T_cam_part: Floats, model: EdgeModel, boundary: BoundaryIndex, config: EdgeRefinement | None = None
+    T_cam_part: Floats, model: SeenEdges, boundary: BoundaryIndex, config: EdgeRefinement | None = None
 ) -> RefinedPose:
     """Move a pose until the edges its view shows lie on boundary points.
 
@@ -109,23 +104,25 @@ def refine_edges(
     """
     config = config or EdgeRefinement()
     T = require_pose(T_cam_part)
-    steps, settled, gate, shown = 0, False, 0.0, np.zeros(0, np.bool_)
-    arm = model.d_max / 2
-
-    def equations(T: Floats) -> Equations:
-        matches = boundary.match(T, points, tangents, gate=gate, max_angle=config.max_angle)
-        centre = _posed(T, model.centre)
-        return _refine_kernels.line_equations(
-            T, points, matches, boundary.points_cam, boundary.tangents_cam, centre, arm
-        )
-
+    steps, settled, total, count, points = 0, False, 0.0, 0, np.zeros((0, 3))
     for share in config.gates:
-        gate = max(share * model.d_max, config.finest)
-        shown = model.visible_from(view_direction(T, model.centre))
-        points, tangents = model.points[shown], model.tangents[shown]
-        T, taken, settled = _descend(T, equations, model.centre, model.d_max, config)
+        points, tangents = model.seen_from(view_direction(T, model.centre))
+        T, taken, settled, total, count = _descent_kernels.descend_edges(
+            T,
+            points,
+            tangents,
+            *boundary.arrays,
+            max(share * model.d_max, config.finest),
+            float(np.cos(config.max_angle)),
+            model.centre,
+            model.d_max,
+            config.iterations,
+            config.damping,
+            config.observable,
+            config.still,
+        )
         steps += taken
-    return _refined(T, equations(T), steps, settled, config.min_matched * len(points))
+    return _refined(T, total, count, steps, settled, config.min_matched * len(points))
 
 
 def refine_surface(
@@ -148,26 +145,28 @@ def refine_surface(
     config = config or SurfaceRefinement()
     T = require_pose(T_cam_part)
     require_depth(frame)
-    visible = surface.visible(T)
-    gate = max(config.gate * surface.d_max, config.finest)
-
-    def equations(T: Floats) -> Equations:
-        return _refine_kernels.plane_equations(
+    steps, settled, total, count, visible = 0, False, 0.0, 0, np.zeros(0, np.bool_)
+    for share in config.gates:
+        visible = surface.visible(T)
+        T, taken, settled, total, count = _descent_kernels.descend_surface(
             T,
             surface.points,
             surface.normals,
             visible,
             frame.depth,
             frame.K,
-            gate,
+            max(share * surface.d_max, config.finest),
             float(np.cos(config.max_angle)),
             config.reach,
-            _posed(T, surface.centre),
-            surface.d_max / 2,
+            surface.centre,
+            surface.d_max,
+            config.iterations,
+            config.damping,
+            config.observable,
+            config.still,
         )
-
-    T, steps, settled = _descend(T, equations, surface.centre, surface.d_max, config)
-    return _refined(T, equations(T), steps, settled, config.min_matched * np.count_nonzero(visible))
+        steps += taken
+    return _refined(T, total, count, steps, settled, config.min_matched * np.count_nonzero(visible))
 
 
 def view_direction(T_cam_part: Floats, centre: Floats) -> Floats:
@@ -187,48 +186,8 @@ def require_pose(T_cam_part: Floats) -> Floats:
 
 def require_depth(frame: Frame) -> None:
     """Raise ``ValueError`` if nothing was measured."""
-    if not frame.depth.any():
+    if not (frame.depth[::16, ::16].any() or frame.depth.any()):  # a look at some pixels is nearly always enough
         raise ValueError("the frame must have a depth somewhere, it is 0 everywhere")
-
-
-def _descend(
-    T: Floats,
-    equations: Callable[[Floats], Equations],
-    centre: Floats,
-    d_max: float,
-    config: EdgeRefinement | SurfaceRefinement,
-) -> tuple[Floats, int, bool]:
-    """Take Gauss-Newton steps; return the pose, their number, and whether the last one was short."""
-    length = np.inf
-    for step in range(config.iterations):
-        hessian, gradient, _, count = equations(T)
-        if count < MIN_MATCHES:
-            return T, step, False
-        motion = _solve(hessian / count, gradient / count, config.damping, config.observable)
-        T = _moved(T, motion, centre, d_max / 2)
-        length = float(np.linalg.norm(motion)) / d_max
-        if length < config.still:
-            return T, step + 1, True
-    # Matches may swap for ever between two samples of one edge: a step far below the gate is no movement.
-    return T, config.iterations, length < SETTLED
-
-
-def _solve(hessian: Floats, gradient: Floats, damping: float, observable: float) -> Floats:
-    """Return the damped step (6,) within the freedoms that the matches tell."""
-    values, vectors = np.linalg.eigh(hessian)
-    told = values > max(observable, 1e-12)  # rounding alone gives a freedom that is none more than 0
-    step: Floats = -vectors[:, told] @ ((vectors[:, told].T @ gradient) / (values[told] + damping))
-    return step
-
-
-def _moved(T: Floats, motion: Floats, centre: Floats, arm: float) -> Floats:
-    """Return a pose after a motion: a turn about the part's centre, then a shift."""
-    pivot = _posed(T, centre)
-    rotation = Rotation.from_rotvec(motion[:3] / arm).as_matrix()
-    moved = np.eye(4)
-    moved[:3, :3] = rotation @ T[:3, :3]
-    moved[:3, 3] = rotation @ (T[:3, 3] - pivot) + pivot + motion[3:]
-    return moved
 
 
 def _posed(T: Floats, point: Floats) -> Floats:
@@ -236,9 +195,8 @@ def _posed(T: Floats, point: Floats) -> Floats:
     return posed
 
 
-def _refined(T: Floats, equations: Equations, steps: int, settled: bool, wanted: float) -> RefinedPose:
+def _refined(T: Floats, total: float, count: int, steps: int, settled: bool, wanted: float) -> RefinedPose:
     """Sum up a refinement that wanted so many matches."""
-    _, _, total, count = equations
     return RefinedPose(
         T_cam_part=T,
         error=float(np.sqrt(total / count)) if count else float("inf"),

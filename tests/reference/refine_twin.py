@@ -1,8 +1,9 @@
-"""Plain loops for the kernels of refinement and verification: every model point, every boundary point, every pixel."""
+"""Plain loops for the kernels of refinement and verification: all model points, boundary points and pixels."""
 
 import math
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 def posed(T, points, normals):
@@ -119,3 +120,66 @@ def plane_equations(T, points, normals, visible, depth, K, gate, min_cosine, rea
         gradient += weight * row * error
         total, count = total + error**2, count + 1
     return hessian, gradient, total, count
+
+
+def gauss_newton_step(hessian, gradient, damping, observable):
+    """Return the (6,) damped step, without the eigenvectors whose eigenvalues are no larger than ``observable``."""
+    values, vectors = np.linalg.eigh(hessian)
+    told = values > max(observable, 1e-12)
+    return -vectors[:, told] @ ((vectors[:, told].T @ gradient) / (values[told] + damping))
+
+
+def moved(T, motion, pivot, arm):
+    """Return a pose turned about a point by a rotation vector, then shifted."""
+    turn = Rotation.from_rotvec(motion[:3] / arm).as_matrix()
+    out = np.eye(4)
+    out[:3, :3] = turn @ T[:3, :3]
+    out[:3, 3] = turn @ (T[:3, 3] - pivot) + pivot + motion[3:]
+    return out
+
+
+def descended(T, equations, centre, arm, iterations, damping, observable, still):
+    """Return the pose after Gauss-Newton steps, their number, the last one's length in d_max, and the last equations.
+
+    ``equations(T, pivot)`` gives J'J, J'e, e'e and the count.
+    """
+    length, steps = math.inf, 0
+    while True:
+        pivot = T[:3, :3] @ centre + T[:3, 3]
+        H, g, total, count = equations(T, pivot)
+        if length < still or steps == iterations or count < 6:
+            return T, steps, length, total, count
+        motion = gauss_newton_step(H / count, g / count, damping, observable)
+        T, steps, length = moved(T, motion, pivot, arm), steps + 1, np.linalg.norm(motion) / (2 * arm)
+
+
+def hidden_points(T, points, matches, depth, K, tolerance, radius):
+    """Return (M,) whether an unmatched point lies well behind all that was measured around it, or nothing was."""
+    hidden = []
+    height, width = depth.shape
+    for p, k in zip(posed(T, points, points)[0], matches, strict=True):
+        if k >= 0 or p[2] <= 1e-3:
+            hidden.append(k < 0)
+            continue
+        u0, v0 = pixel_of(K, p)
+        window = range(v0 - radius, v0 + radius + 1), range(u0 - radius, u0 + radius + 1)
+        around = [measured_point(depth, K, u, v) for v in window[0] for u in window[1]]
+        before = all(q is None or q[2] < p[2] - tolerance for q in around)
+        hidden.append(before or not (0 <= u0 < width and 0 <= v0 < height))
+    return np.array(hidden, bool)
+
+
+def explained_points(T, points, tangents, boundary, boundary_tangents, gate, min_cosine):
+    """Return (N,) whether any posed point of like tangent is near."""
+    points_cam, tangents_cam = posed(T, points, tangents)
+    explained = []
+    for q, t in zip(boundary, boundary_tangents, strict=True):
+        near = [math.dist(p, q) <= gate for p in points_cam]
+        explained.append(any(n and abs(s @ t) >= min_cosine for n, s in zip(near, tangents_cam, strict=True)))
+    return np.array(explained, bool)
+
+
+def near_points(T, points, visible, boundary, gate):
+    """Return the indices of the boundary points with any visible posed sample near."""
+    shown = [p for p, v in zip(posed(T, points, points)[0], visible, strict=True) if v]
+    return [n for n, q in enumerate(boundary) if any(math.dist(p, q) <= gate for p in shown)]

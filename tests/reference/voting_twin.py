@@ -38,7 +38,17 @@ def usable(length, cos_r, grid):
     return grid.nearest < length < far and abs(cos_r) <= math.cos(grid.collinear)
 
 
-def table(points, tangents, frames, visibility, grid):
+def side(cosine, signs):
+    """Return the sign that turns a tangent towards d."""
+    return -1 if signs != "raw" and cosine < 0 else 1
+
+
+def folded(cosine, signs):
+    """Return the angle of a tangent to d, of the tangent that was turned unless signs come raw."""
+    return math.acos(cosine if signs == "raw" else abs(cosine))
+
+
+def table(points, tangents, frames, visibility, grid, signs="safe"):
     """Return {(f1, f2, f3, f4): set of (row, sign, angle)}."""
     out = defaultdict(set)
     for r in range(len(points)):
@@ -46,18 +56,20 @@ def table(points, tangents, frames, visibility, grid):
             length, cos_r, cos_i, between, turn = pair(points, tangents, frames[r], r, i)
             if not int(visibility[r]) & int(visibility[i]) or not usable(length, cos_r, grid):
                 continue
-            s_r, s_i = (-1 if cos_r < 0 else 1), (-1 if cos_i < 0 else 1)
+            s_r, s_i = side(cos_r, signs), side(cos_i, signs)
             key = (
                 cell(length, grid.distance_step, grid.distances),
-                cell(math.acos(abs(cos_r)), grid.angle_step, grid.quarter_turns),
-                cell(math.acos(abs(cos_i)), grid.angle_step, grid.quarter_turns),
+                cell(folded(cos_r, signs), grid.angle_step, grid.inclinations),
+                cell(folded(cos_i, signs), grid.angle_step, grid.inclinations),
                 cell(math.acos(s_r * s_i * between), grid.angle_step, grid.half_turns),
             )
+            if signs != "safe":
+                s_r = 1
             out[key].add((r, int(s_r < 0), math.floor(s_r * turn * (256 / (2 * math.pi))) % 256))
     return out
 
 
-def votes(entries, points, tangents, frame, r, grid, bins):
+def votes(entries, points, tangents, frame, r, grid, bins, signs="safe"):
     """Return {(row, flip, bin): votes} of one reference point, every entry counting 1."""
     out = defaultdict(int)
     square = math.sin(grid.angle_step / 2)
@@ -65,16 +77,16 @@ def votes(entries, points, tangents, frame, r, grid, bins):
         length, cos_r, cos_i, between, turn = pair(points, tangents, frame, r, i)
         if not usable(length, cos_r, grid):
             continue
-        s_r, s_i = (-1 if cos_r < 0 else 1), (-1 if cos_i < 0 else 1)
+        s_r, s_i = side(cos_r, signs), side(cos_i, signs)
         looked_up = set()
-        for sign_r in (s_r, -s_r) if abs(cos_r) < square else (s_r,):
-            for sign_i in (s_i, -s_i) if abs(cos_i) < square else (s_i,):
+        for sign_r in (s_r, -s_r) if abs(cos_r) < square and signs != "raw" else (s_r,):
+            for sign_i in (s_i, -s_i) if abs(cos_i) < square and signs != "raw" else (s_i,):
                 f4 = math.acos(between) if sign_r * sign_i > 0 else math.pi - math.acos(between)
                 looked_up |= {
-                    (sign_r, (a, b, c, d))
+                    (sign_r if signs == "safe" else 1, (a, b, c, d))
                     for a in cells(length, grid.distance_step, grid.distance_noise, grid.distances)
-                    for b in cells(math.acos(abs(cos_r)), grid.angle_step, grid.angle_noise, grid.quarter_turns)
-                    for c in cells(math.acos(abs(cos_i)), grid.angle_step, grid.angle_noise, grid.quarter_turns)
+                    for b in cells(folded(cos_r, signs), grid.angle_step, grid.angle_noise, grid.inclinations)
+                    for c in cells(folded(cos_i, signs), grid.angle_step, grid.angle_noise, grid.inclinations)
                     for d in cells(f4, grid.angle_step, grid.angle_noise, grid.half_turns)
                 }
         turn = math.floor(turn * (65536 / (2 * math.pi)))

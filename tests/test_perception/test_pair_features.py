@@ -1,6 +1,7 @@
 """Pair features: cells worked by hand, signs, orbits, weights, visibility, degenerate input."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ def all_seen(points):
 def cells_of(table):
     """Return {(f1, f2, f3, f4): set of (row, sign, angle)} of a table."""
     grid, out = table.grid, {}
-    shape = (grid.distances, grid.quarter_turns, grid.quarter_turns, grid.half_turns)
+    shape = (grid.distances, grid.inclinations, grid.inclinations, grid.half_turns)
     for c in np.flatnonzero(np.diff(table.offsets)):
         entries = table.entries[table.offsets[c] : table.offsets[c + 1]]
         key = tuple(int(f) for f in np.unravel_index(c, shape))
@@ -65,23 +66,52 @@ def test_negated_tangents_keep_their_cells_and_change_the_sign_bit():
         assert {(m, sign ^ (m % 2)) for m, sign, _ in entries} == {(m, sign) for m, sign, _ in other[key]}
 
 
-@settings(max_examples=20, deadline=None)
+def test_without_the_flip_bit_signs_of_tangents_leave_cells_but_not_angles():
+    points, tangents = random_edges(np.random.default_rng(8), 12)
+    safe, no_flip = (
+        cells_of(build_table(points, tangents, all_seen(points), 1.0, replace(COARSE, signs=signs)))
+        for signs in ("safe", "no_flip")
+    )
+    assert set(safe) == set(no_flip)
+    # The safe table keeps an angle negated where the sign is set: floor(-x) is 255 - floor(x) modulo 256.
+    for key, entries in safe.items():
+        assert {(m, 0, 255 - angle if sign else angle) for m, sign, angle in entries} == no_flip[key]
+    assert any(sign for entries in safe.values() for _, sign, _ in entries)
+
+
+def test_raw_signs_put_a_negated_tangent_into_the_supplementary_cells():
+    # The pair worked by hand above, at 40 and 100 deg from d; negated, t_r is 140 deg from it.
+    r, i = math.radians(40), math.radians(100)
+    points = np.array([[0.0, 0, 0], [0.55, 0, 0]])
+    tangents = np.array([[math.cos(r), math.sin(r), 0], [math.cos(i), 0, math.sin(i)]])
+    between = math.degrees(math.acos(math.cos(r) * math.cos(i)))
+    raw = replace(COARSE, signs="raw")
+    # Seen from i, d points the other way: 80 and 140 deg.
+    cells = cells_of(build_table(points, tangents, all_seen(points), 1.0, raw))
+    assert set(cells) == {(5, 2, 6, int(between // 15)), (5, 5, 9, int(between // 15))}
+    negated = cells_of(build_table(points, tangents * [[-1.0], [1.0]], all_seen(points), 1.0, raw))
+    assert set(negated) == {(5, 9, 6, int((180 - between) // 15)), (5, 5, 2, int((180 - between) // 15))}
+    assert {sign for entries in (*cells.values(), *negated.values()) for _, sign, _ in entries} == {0}
+
+
+@settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     squared=st.booleans(),
     angle_step=st.sampled_from([7.0, 12.0, 18.0]),
     distance_step=st.sampled_from([0.05, 0.13]),
+    signs=st.sampled_from(["safe", "no_flip", "raw"]),
 )
-def test_the_table_is_that_of_plain_loops(seed, squared, angle_step, distance_step):
+def test_the_table_is_that_of_plain_loops(seed, squared, angle_step, distance_step, signs):
     rng = np.random.default_rng(seed)
     points, tangents = random_edges(rng, 16)
     if squared:  # many exact right angles, parallels and equal points
         points, tangents = rng.integers(-1, 2, (16, 3)) * 0.28, np.eye(3)[rng.integers(0, 3, 16)]
     visibility = rng.integers(0, 8, 16).astype(np.uint32)
-    config = PairConfig(distance_step=distance_step, angle_step=math.radians(angle_step))
+    config = PairConfig(distance_step=distance_step, angle_step=math.radians(angle_step), signs=signs)
     table = build_table(points, tangents, visibility, 1.0, config)
     tangents = unit(tangents)
-    expected = voting_twin.table(points, tangents, tangent_frames(tangents), visibility, config.grid(1.0))
+    expected = voting_twin.table(points, tangents, tangent_frames(tangents), visibility, config.grid(1.0), signs)
     assert cells_of(table) == expected
 
 
@@ -235,6 +265,7 @@ def test_the_same_input_gives_the_same_table():
         ("orbit_distance", 0.0, "orbit_distance must be positive"),
         ("weight_cap", math.inf, "weight_cap must be positive"),
         ("weighting", "log", "weighting must be .* got 'log'"),
+        ("signs", "flip", "signs must be 'safe', 'no_flip' or 'raw', got 'flip'"),
         ("angle_step", 0.01, "cells, at most"),
     ],
 )

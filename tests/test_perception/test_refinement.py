@@ -1,4 +1,4 @@
-"""Recovery of poses from wires and from depth images, and the compiled kernels against their plain twins."""
+"""Recovery of poses from wires and from depth images."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import seen_part as at
 import trimesh
-from seen_part import DISTANCE, SIGMA, K
+from seen_part import DISTANCE, SIGMA
 
 from perception.geometry import Floats, make_transform, rotation_about
 from perception.metrics.pose_error import pose_error
 from perception.part import PartModel, Symmetry
-from perception.pose import _refine_kernels as kernels
 from perception.pose.boundary_index import index_boundary
 from perception.pose.edge_models import EdgeModel
 from perception.pose.refinement import (
@@ -24,7 +23,6 @@ from perception.pose.refinement import (
     view_direction,
 )
 from perception.pose.surface_model import surface_model
-from tests.reference import refine_twin as twin
 
 Z = np.array([0.0, 0.0, 1.0])
 ELL = at.ell()
@@ -255,60 +253,42 @@ def test_a_share_of_the_surface_must_match() -> None:
     assert not refine_surface(FROM_ABOVE, SURFACE, at.framed(hidden), strict).converged
 
 
-# Kernels
-
-
-def test_line_equations_are_those_of_the_twin_and_of_small_differences() -> None:
-    rng = np.random.default_rng(0)
-    points, tangents = at.scattered(rng)
-    tangents[::7] = Z
-    matches = rng.integers(-1, len(points), len(MODEL))
-    rest = (matches, points, tangents, np.array([0.01, 0.02, 0.5]), 0.04)
-    H, g, total, count = kernels.line_equations(LEANING, MODEL.points, *rest)
-    for have, want in zip((H, g, total, count), twin.line_equations(LEANING, MODEL.points, *rest), strict=True):
-        np.testing.assert_allclose(have, want, rtol=1e-9)
-    for i in range(6):
-        values = [
-            kernels.line_equations(nudged(LEANING, i, step, rest[3], rest[4]), MODEL.points, *rest)[2]
-            for step in (-1e-6, 1e-6)
-        ]
-        assert (values[1] - values[0]) / 4e-6 == pytest.approx(g[i], rel=1e-5, abs=1e-9)
-
-
-def nudged(T: Floats, freedom: int, step: float, centre: Floats, arm: float) -> Floats:
-    """Return ``T`` after a small motion in one of six freedoms."""
-    if freedom >= 3:
-        return make_transform(None, step * np.eye(3)[freedom - 3]) @ T
-    turn = rotation_about(np.eye(3)[freedom], step / arm)
-    return make_transform(turn, centre - turn @ centre) @ T
-
-
-def test_plane_equations_are_those_of_the_twin() -> None:
+def test_a_wide_gate_comes_before_a_fine_one() -> None:
     frame = at.look_at(at.placed(ELL, LEANING), noise=SIGMA)
-    depth = frame.depth.copy()
-    depth[::9] = 0.0
-    visible = SURFACE.visible(LEANING)
-    start = at.beside(LEANING, ELL, np.random.default_rng(0), 0.001, 0.03)
-    for aside in (0.0, 0.08):
-        T = make_transform(None, (aside, 0.0, 0.0)) @ start
-        rest = (visible, depth, K, 0.002, np.cos(0.7), 3, np.array([0.01, 0.02, 0.5]), 0.04)
-        have = kernels.plane_equations(T, SURFACE.points, SURFACE.normals, *rest)
-        want = twin.plane_equations(T, SURFACE.points, SURFACE.normals, *rest)
-        for a, b in zip(have, want, strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-12)
-        assert aside or have[3] > 100
+    start = make_transform(None, 0.0035 * LEANING[:3, 3] / np.linalg.norm(LEANING[:3, 3])) @ LEANING
+    fine, wide, both = ((0.02,), (0.06,), (0.06, 0.02))
+    found = {
+        gates: refine_surface(start, SURFACE, frame, SurfaceRefinement(gates=gates)) for gates in (fine, wide, both)
+    }
+    away = {g: pose_error(found[g].T_cam_part, LEANING, ELL).translation for g in found}
+    assert away[fine] > 0.003  # nothing within the gate
+    assert max(away[wide], away[both]) < 0.0007
+    assert found[both].iterations > found[wide].iterations
+    assert found[both].converged
+    ungated = SurfaceRefinement(gates=(1e-6,))  # no finer than the sensor
+    near = make_transform(None, (0.0, 0.0, 0.0003)) @ LEANING
+    assert refine_surface(near, SURFACE, frame, ungated).inliers > 100
+    assert refine_surface(near, SURFACE, frame, replace(ungated, finest=0.0)).inliers < 6
 
 
-def test_a_measured_normal_is_that_of_the_plane_seen() -> None:
-    normal = np.array([0.3, -0.4, -1.0])
-    normal /= np.linalg.norm(normal)
-    v, u = np.mgrid[: at.SIZE[1], : at.SIZE[0]]
-    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], axis=-1)
-    depth = (normal[2] * 0.5 / (rays @ normal)).astype(np.float32)
-    np.testing.assert_allclose(kernels.measured_normal(depth, K, 60, 50, 4), normal, atol=1e-4)
-    depth[54, 60] = 0.0
-    assert kernels.measured_normal(depth, K, 60, 50, 4) == (0.0, 0.0, 0.0)
-    assert kernels.measured_normal(depth, K, 3, 100, 4) == (0.0, 0.0, 0.0)
+def test_the_view_of_each_stage_is_that_of_its_start() -> None:
+    """A pose that comes round to another view goes on with that one's edges."""
+    direction = view_direction(LEANING, ELL.centre)
+    asked = []
+
+    class Seen:
+        centre, d_max = ELL.centre, ELL.d_max
+
+        def seen_from(self, direction_part: Floats) -> tuple[Floats, Floats]:
+            asked.append(direction_part)
+            return MODEL.points, MODEL.tangents
+
+    boundary = at.wire_index(LEANING, ELL, np.random.default_rng(0))
+    start = at.beside(LEANING, ELL, np.random.default_rng(2), 0.003, OFF)
+    assert_at(refine_edges(start, Seen(), boundary), LEANING, 1e-5, 0.02)
+    assert len(asked) == len(EdgeRefinement().gates)
+    np.testing.assert_allclose(asked[0], view_direction(start, ELL.centre), atol=1e-12)
+    assert np.linalg.norm(asked[-1] - direction) < 0.002 < np.linalg.norm(asked[0] - direction)
 
 
 # Bad input
@@ -352,10 +332,14 @@ def test_nonsense_in_the_edge_config_is_refused(change: dict[str, Any], message:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"gate": 0.0}, "gate must be positive, got 0.0"),
+        ({"gates": ()}, "gates must be positive and at least one"),
+        ({"gates": (0.06, np.inf)}, "gates must be positive and at least one"),
         ({"finest": -1.0}, "finest must not be negative, got -1.0"),
         ({"iterations": 0}, "iterations must be at least 1, got 0"),
         ({"max_angle": 0.0}, r"max_angle must be in \(0, pi/2\] rad, got 0.0"),
+        ({"damping": np.nan}, "damping must not be negative, got nan"),
+        ({"observable": -0.1}, "observable must not be negative, got -0.1"),
+        ({"still": -1e-5}, "still must not be negative, got -1e-05"),
         ({"reach": 0}, "reach must be at least 1 px, got 0"),
         ({"min_matched": -0.1}, r"min_matched must be in \[0, 1\], got -0.1"),
     ],

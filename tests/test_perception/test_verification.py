@@ -15,7 +15,7 @@ from perception.part import PartModel
 from perception.pose import _refine_kernels as kernels
 from perception.pose.boundary_index import index_boundary
 from perception.pose.surface_model import surface_model
-from perception.pose.verification import Verdict, VerificationConfig, edge_score, pose_score, verify
+from perception.pose.verification import Verdict, VerificationConfig, edge_scores, evidence, verify
 from tests.reference import refine_twin as twin
 
 ELL = at.ell()
@@ -25,12 +25,21 @@ CONFIG = VerificationConfig()
 OVER = rotation_about((1.0, 0.0, 0.0), np.pi)
 FROM_ABOVE = at.pose_of(ELL, OVER)
 LEANING = at.pose_of(ELL, rotation_about((1.0, 1.0, 0.0), 0.7) @ OVER)
-BOUNDARY = at.wire_index(LEANING, ELL, np.random.default_rng(0))
+GROUP = at.wire_scene(LEANING, ELL, np.random.default_rng(0))
+BOUNDARY = index_boundary(*GROUP, ELL.d_max)
 SEEN = at.look_at(at.placed(ELL, LEANING), noise=SIGMA)
+FLOOR = at.look_at()  # and nothing on it
 
 
 def verdict(T: Floats, frame: Frame = SEEN, boundary_at: Floats = LEANING) -> Verdict:
-    return verify(T, MODEL, SURFACE, at.wire_index(boundary_at, ELL, np.random.default_rng(0)), frame)
+    group = at.wire_scene(boundary_at, ELL, np.random.default_rng(0))
+    return verify(T, MODEL, SURFACE, index_boundary(*group, ELL.d_max), frame, group)
+
+
+def scores(T: Floats, points: Floats, tangents: Floats, frame: Frame = FLOOR, **change: float) -> tuple[float, float]:
+    """Return the edge scores of a pose when these boundary points are all there is."""
+    index = index_boundary(points, tangents, ELL.d_max)
+    return edge_scores(T, MODEL, index, frame, (points, tangents), replace(CONFIG, **change))  # type: ignore[arg-type]
 
 
 def lifted(T: Floats, height: float) -> Floats:
@@ -42,26 +51,25 @@ def lifted(T: Floats, height: float) -> Floats:
 def test_the_true_pose_has_everything_for_it(T: Floats) -> None:
     for noise in (0.0, SIGMA):
         found = verdict(T, at.look_at(at.placed(ELL, T), noise=noise), T)
-        assert found.edge_score == 1.0
+        assert found.edge_score == found.explained == 1.0
         assert found.support > 0.98
         assert found.violation == 0.0
         assert found.measured == 1.0
-        assert found.score > 0.95
+        assert found.score > 0.9
 
 
 def test_a_pose_that_floats_before_what_was_measured_is_rejected() -> None:
     found = verdict(lifted(LEANING, 0.02), boundary_at=lifted(LEANING, 0.02))  # even if its edges were there
-    assert found.edge_score == 1.0
+    assert found.edge_score == found.explained == 1.0
     assert found.violation > 0.95
     assert found.support == 0.0
-    assert found.score < 0.05
-    assert found.score < verdict(LEANING).score
+    assert found.score < 0.1
 
 
 def test_a_pose_before_the_bare_floor_is_rejected() -> None:
-    found = verdict(LEANING, at.look_at())
+    found = verdict(LEANING, FLOOR)
     assert found.violation == 1.0
-    assert found.score < 0.05
+    assert found.score < 0.1
 
 
 def test_a_pose_behind_something_is_not_said_to_float() -> None:
@@ -72,7 +80,8 @@ def test_a_pose_behind_something_is_not_said_to_float() -> None:
     whole = trimesh.creation.box((0.3, 0.3, 0.002), make_transform(None, (0.0, 0.0, 0.4)))
     hidden = verdict(LEANING, at.look_at(at.placed(ELL, LEANING), whole))
     assert (hidden.violation, hidden.support, hidden.measured) == (0.0, 0.0, 1.0)
-    assert verdict(LEANING).score > found.score > hidden.score
+    assert found.visible_fraction == found.support
+    assert verdict(LEANING).score >= found.score > hidden.score
 
 
 def test_the_mirror_pose_of_a_flat_part_has_less_support() -> None:
@@ -85,7 +94,8 @@ def test_the_mirror_pose_of_a_flat_part_has_less_support() -> None:
     assert mirrored.support < upright.support - 0.2
     assert mirrored.violation > 0.2
     assert mirrored.edge_score < upright.edge_score
-    assert mirrored.score < 0.5 < upright.score
+    assert mirrored.explained < upright.explained
+    assert mirrored.score < upright.score
 
 
 def test_a_pose_a_pixel_off_does_not_float_at_its_outline() -> None:
@@ -93,7 +103,7 @@ def test_a_pose_a_pixel_off_does_not_float_at_its_outline() -> None:
     pixel = at.DISTANCE / K[0, 0]
     aside = make_transform(None, (0.9 * pixel, 0.9 * pixel, 0.0)) @ FROM_ABOVE
     assert verdict(aside, frame, FROM_ABOVE).violation < 0.01
-    assert verify(aside, MODEL, SURFACE, BOUNDARY, frame, replace(CONFIG, window=0)).violation > 0.02
+    assert verify(aside, MODEL, SURFACE, BOUNDARY, frame, GROUP, replace(CONFIG, window=0)).violation > 0.02
     far = make_transform(None, (0.006, 0.0, 0.0)) @ FROM_ABOVE
     assert 0.1 < verdict(far, frame, FROM_ABOVE).violation < 0.5
 
@@ -105,47 +115,100 @@ def test_pixels_without_depth_count_neither_way() -> None:
     assert 0.2 < found.measured < 0.8
     assert found.support > 0.98
     assert found.violation == 0.0
+    assert found.visible_fraction == found.support * found.measured
 
 
 @pytest.mark.parametrize("shift", [(1.0, 0.0, 0.0), (0.0, 0.0, -2.0)], ids=["out of view", "behind the camera"])
 def test_a_pose_that_cannot_be_seen_has_nothing_for_it(shift: tuple[float, float, float]) -> None:
     found = verdict(make_transform(None, shift) @ LEANING)
-    assert (found.edge_score, found.support, found.violation, found.measured) == (0.0, 0.0, 0.0, 0.0)
-    assert found.score < 0.05
+    assert (found.edge_score, found.explained, found.support, found.violation, found.measured) == (0.0,) * 5
+    assert found.score < 0.1
 
 
-def test_the_edge_score_is_the_share_of_edges_with_points() -> None:
+def test_the_edge_score_is_the_share_of_unhidden_edges_with_points() -> None:
     keep = at.wires(ELL, 0.0005)[0][:, 0] < 0.02
-    points, tangents = at.wire_scene(LEANING, ELL, np.random.default_rng(0), keep=keep)
+    points, tangents = (a[keep] for a in GROUP)
     expected = np.mean(MODEL.points[:, 0] < 0.02)
-    part = index_boundary(points, tangents, ELL.d_max)
-    assert edge_score(LEANING, MODEL, part, CONFIG) == pytest.approx(expected, abs=0.05)
-    across = np.roll(tangents, 1, axis=1)
-    assert edge_score(LEANING, MODEL, index_boundary(points, across, ELL.d_max), CONFIG) < 0.1
-    narrow = replace(CONFIG, edge_distance=1e-6)
-    assert edge_score(LEANING, MODEL, part, narrow) < 0.1
+    assert scores(LEANING, points, tangents)[0] == pytest.approx(expected, abs=0.05)  # over a floor nothing hides
+    assert scores(LEANING, points, np.roll(tangents, 1, axis=1))[0] < 0.1
+    assert scores(LEANING, points, np.roll(tangents, 1, axis=1), edge_angle=np.pi / 2)[0] > 0.9 * expected
+    assert scores(LEANING, points, tangents, edge_distance=1e-6)[0] < 0.1
+    assert scores(LEANING, points, tangents, edge_distance=0.3)[0] > expected + 0.2
+
+
+def test_edges_that_something_hides_do_not_count() -> None:
+    keep = at.wires(ELL, 0.0005)[0][:, 0] < 0.02
+    points, tangents = (a[keep] for a in GROUP)
+    over_a_floor = scores(LEANING, points, tangents)[0]
+    own = scores(LEANING, points, tangents, at.look_at(at.placed(ELL, LEANING)))[0]
+    assert over_a_floor + 0.02 < own < 0.95  # without those on the block's far side
+    cover = at.look_at(trimesh.creation.box((0.3, 0.3, 0.002), make_transform(None, (0.0, 0.0, 0.4))))
+    assert scores(LEANING, points, tangents, cover)[0] == 1.0
+    far_aside = points + np.array([0.12, 0.0, 0.0])
+    assert scores(LEANING, far_aside, tangents, cover)[0] == 0.0  # nothing is seen and nothing could be
+    blind = at.framed(np.pad(np.full((1, 1), 0.5, np.float32), ((0, 179), (0, 239))))
+    assert scores(LEANING, points, tangents, blind)[0] == 1.0
+    deep = at.framed(np.full(SEEN.depth.shape, 0.45, np.float32))  # 1 to 10 cm before the block
+    assert scores(LEANING, points, tangents, deep)[0] == 1.0
+    assert scores(LEANING, points, tangents, deep, noise=0.05)[0] == over_a_floor
+    assert scores(LEANING, points, tangents, deep, surface_distance=2.0)[0] == over_a_floor
+
+
+def test_what_a_pose_leaves_of_its_group_is_not_explained() -> None:
+    points, tangents = GROUP
+    away = np.concatenate([points, points[::3] + np.array([0.0, 0.0, 0.02])]), np.concatenate([tangents, tangents[::3]])
+    explained = verify(LEANING, MODEL, SURFACE, BOUNDARY, SEEN, away).explained
+    assert explained == pytest.approx(0.75, abs=0.05)
+    across = points, np.roll(tangents, 1, axis=1)
+    assert verify(LEANING, MODEL, SURFACE, BOUNDARY, SEEN, across).explained < 0.1
+    nothing = np.zeros((0, 3)), np.zeros((0, 3))
+    assert verify(LEANING, MODEL, SURFACE, BOUNDARY, SEEN, nothing).explained == 0.0
+    strict = replace(CONFIG, edge_distance=0.001)
+    assert verify(LEANING, MODEL, SURFACE, BOUNDARY, SEEN, GROUP, strict).explained < 0.3
+
+
+def test_only_edges_of_the_view_count() -> None:
+    """A second copy of the edges, 5 mm aside, belongs to the view from behind."""
+    direction = -(LEANING[:3, :3] @ ELL.centre + LEANING[:3, 3]) @ LEANING[:3, :3]
+    model = replace(
+        at.all_visible(np.concatenate([MODEL.points, MODEL.points + 0.005]), np.tile(MODEL.tangents, (2, 1)), ELL),
+        visibility=np.repeat([1, 2], len(MODEL)).astype(np.uint32),
+        views=np.stack([direction, -direction]) / np.linalg.norm(direction),
+    )
+    assert edge_scores(LEANING, model, BOUNDARY, FLOOR, GROUP, CONFIG) == (1.0, 1.0)
+    other = replace(model, views=-model.views)
+    assert max(edge_scores(LEANING, other, BOUNDARY, FLOOR, GROUP, CONFIG)) < 0.5
     unseen = replace(MODEL, visibility=np.zeros(len(MODEL), np.uint32))
-    assert edge_score(LEANING, unseen, part, CONFIG) == 0.0
+    assert edge_scores(LEANING, unseen, BOUNDARY, FLOOR, GROUP, CONFIG) == (0.0, 0.0)
 
 
 def test_tolerance_covers_the_sensor_s_noise() -> None:
     rough = at.look_at(at.placed(ELL, LEANING), noise=0.002)
-    strict = verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, replace(CONFIG, window=0))
-    fair = verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, replace(CONFIG, window=0, noise=0.002))
-    loose = verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, replace(CONFIG, window=0, surface_distance=0.1))
+    strict = verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, GROUP, replace(CONFIG, window=0))
+    fair = verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, GROUP, replace(CONFIG, window=0, noise=0.002))
+    loose = verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, GROUP, replace(CONFIG, window=0, surface_distance=0.1))
     assert strict.support < 0.85
     assert strict.violation > 0.05
     assert min(fair.support, loose.support) > 0.97
-    assert verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, CONFIG).support > strict.support
+    assert verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, GROUP, CONFIG).support > strict.support
 
 
-def test_the_score_is_the_logistic_of_the_three_shares() -> None:
-    config = VerificationConfig(bias=-1.0, edge_weight=2.0, support_weight=3.0, violation_weight=-4.0)
-    assert pose_score(0.5, 0.25, 0.125, config) == pytest.approx(1 / (1 + np.exp(-0.25)))
+def test_the_evidence_is_the_weighted_sum_of_four_shares() -> None:
+    config = VerificationConfig(
+        bias=-1.0, edge_weight=2.0, explained_weight=3.0, support_weight=-4.0, violation_weight=8.0
+    )
+    assert evidence(0.5, 0.25, 0.125, 0.0625, config) == -1.0 + 1.0 + 0.75 - 0.5 + 0.5
+    found = verify(LEANING, MODEL, SURFACE, BOUNDARY, FLOOR, GROUP, config)
+    shares = found.edge_score, found.explained, found.support, found.violation
+    assert found.evidence == evidence(*shares, config)
+
+
+def test_the_score_is_the_logistic_of_the_evidence() -> None:
+    found = verdict(LEANING)
+    for weighted in (-30.0, -1.0, 0.0, 0.25):
+        assert replace(found, evidence=weighted).score == pytest.approx(1 / (1 + np.exp(-weighted)), rel=1e-3)
     for extreme in (-5000.0, 5000.0):
-        assert pose_score(1.0, 1.0, 1.0, replace(config, bias=extreme)) == (extreme > 0)
-    assert pose_score(1.0, 1.0, 0.0, CONFIG) > 0.95
-    assert pose_score(0.35, 0.5, 0.1, CONFIG) < 0.3
+        assert replace(found, evidence=extreme).score == (extreme > 0)
 
 
 # Kernels
@@ -212,11 +275,11 @@ def test_a_gap_is_positive_where_the_camera_saw_through() -> None:
 
 def test_a_bad_pose_and_an_empty_frame_are_refused() -> None:
     with pytest.raises(ValueError, match="T_cam_part must be finite"):
-        verify(LEANING * np.nan, MODEL, SURFACE, BOUNDARY, SEEN)
+        verify(LEANING * np.nan, MODEL, SURFACE, BOUNDARY, SEEN, GROUP)
     with pytest.raises(ValueError, match=r"T_cam_part must be \(4, 4\)"):
-        edge_score(LEANING[:3], MODEL, BOUNDARY, CONFIG)
+        edge_scores(LEANING[:3], MODEL, BOUNDARY, SEEN, GROUP, CONFIG)
     with pytest.raises(ValueError, match="the frame must have a depth somewhere"):
-        verify(LEANING, MODEL, SURFACE, BOUNDARY, at.framed(np.zeros((6, 8), np.float32)))
+        verify(LEANING, MODEL, SURFACE, BOUNDARY, at.framed(np.zeros((6, 8), np.float32)), GROUP)
 
 
 @pytest.mark.parametrize(
@@ -227,7 +290,7 @@ def test_a_bad_pose_and_an_empty_frame_are_refused() -> None:
         ({"edge_angle": 20.0}, r"edge_angle must be in \(0, pi/2\] rad, got 20.0"),
         ({"noise": -0.1}, "noise must not be negative, got -0.1"),
         ({"window": -1}, "window must not be negative, got -1"),
-        *[({f.name: np.nan}, f"{f.name} must be finite, got nan") for f in fields(CONFIG)[-4:]],
+        *[({f.name: np.nan}, f"{f.name} must be finite, got nan") for f in fields(CONFIG)[-5:]],
     ],
 )
 def test_nonsense_in_the_config_is_refused(change: dict[str, Any], message: str) -> None:

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from policies.statistics import bootstrap_mean, bootstrap_ratio, paired_difference, rate, wilson_interval
+from perception.metrics.intervals import wilson_interval
+from policies.statistics import bootstrap_mean, bootstrap_ratio, paired_difference, rate
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ from fake_cell import abstain, attempt, bin_result
 
 from binpick_env.text_tables import columns
 from perception.files import json_text
+from perception.metrics.intervals import wilson_interval
 from policies.evaluation import EvaluationConfig
 from policies.outcomes import Abstention, GraspOutcome, PickResult
 from policies.records import BinRecord
-from policies.statistics import wilson_interval
 from policies.summary import Summary, summarise
 from policies.tables import result_table
 

@@ -1,0 +1,69 @@
+"""The whole of perception on one screen: a frame becomes boundary points, groups of them, and poses of parts."""
+
+import time
+from dataclasses import dataclass
+from itertools import pairwise
+
+from perception.boundary import BoundaryCloud, extract_boundary
+from perception.frame import Frame, Workspace
+from perception.part import PartModel
+from perception.pose.estimator import PoseEstimate, PoseEstimator
+from perception.pose.explanation import explain_segments
+from perception.segmentation.instance import Instance
+from perception.segmentation.predictor import SegmentationPredictor
+from perception.segmentation.surface import coarse_surface
+
+STAGES = ("boundary", "segmentation", "poses", "explanation")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Perception:
+    """What was seen in one frame.
+
+    Attributes:
+        boundary: Its N boundary points.
+        segments: Groups of them as the network sees them, best first.
+        poses: Verified poses of parts, best first; ``instance_idx`` counts in ``segments``.
+        instances: The groups once the poses have taken what is theirs, best first.
+        ms: Wall clock of each of `STAGES` [ms].
+    """
+
+    boundary: BoundaryCloud
+    segments: list[Instance]
+    poses: list[PoseEstimate]
+    instances: list[Instance]
+    ms: dict[str, float]
+
+
+class Pipeline:
+    """Frame -> boundary -> segments -> poses, for one kind of part in one bin."""
+
+    def __init__(self, predictor: SegmentationPredictor, estimator: PoseEstimator, workspace: Workspace) -> None:
+        self.predictor = predictor
+        self.estimator = estimator
+        self.workspace = workspace
+
+    @classmethod
+    def for_part(cls, part: PartModel, workspace: Workspace) -> "Pipeline":
+        """Use the weights for the part's name, and build its models: seconds the first time.
+
+        Raises:
+            WeightsError: There are no weights; the text names the commands that make them.
+            ValueError: The part's mesh does not enclose a volume.
+        """
+        return cls(SegmentationPredictor.for_part(part.name), PoseEstimator(part), workspace)
+
+    def perceive(self, frame: Frame) -> Perception:
+        """Return what a frame shows; an empty bin, or a frame without depth, shows nothing."""
+        clock, d_max = [time.perf_counter()], self.estimator.part.d_max
+        boundary = extract_boundary(frame, self.workspace)
+        clock.append(time.perf_counter())
+        segments = self.predictor.predict(boundary, coarse_surface(frame, self.workspace, d_max), d_max)
+        clock.append(time.perf_counter())
+        estimates = self.estimator.estimate_groups(boundary, segments, frame)
+        poses = self.estimator.verified(estimates)
+        clock.append(time.perf_counter())
+        instances = explain_segments(boundary, segments, estimates, self.estimator.surface)
+        clock.append(time.perf_counter())
+        ms = {name: 1000 * (b - a) for name, (a, b) in zip(STAGES, pairwise(clock), strict=True)}
+        return Perception(boundary=boundary, segments=segments, poses=poses, instances=instances, ms=ms)
