@@ -79,7 +79,7 @@ def evaluate_scenes(
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
     load_part(config.scenes.part, unit=config.scenes.unit)
     segmenter(config.method)  # what cannot be loaded must not claim the folder
-    _require_unseen(config)
+    require_unseen(config)
     claim(folder / CONFIG_FILE, config.note(), "an evaluation")
     missing = []
     for index in range(count):
@@ -102,7 +102,7 @@ def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, pictu
     """
     scene, capture = make_scene(config.scenes, index)
     method = segmenter(config.method)
-    with _threads(threads):
+    with use_threads(threads):
         if not method.warm:
             _segment(method, capture.frame, scene.d_max)
             method.warm = True
@@ -125,7 +125,7 @@ def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, pictu
     )
 
 
-def _require_unseen(config: EvaluationConfig) -> None:
+def require_unseen(config: EvaluationConfig) -> None:
     """Refuse scenes that the weights were trained or chosen on, as far as their record says so."""
     if config.method.weights is None:
         return
@@ -171,7 +171,7 @@ def _is_whole(path: Path) -> bool:
 
 
 @contextmanager
-def _threads(count: int) -> Iterator[None]:
+def use_threads(count: int) -> Iterator[None]:
     """Let torch and OpenCV compute on ``count`` threads in here."""
     before = torch.get_num_threads(), cv2.getNumThreads()
     torch.set_num_threads(count)
