@@ -1,16 +1,19 @@
 """Benchmarks: measure, keep, compare."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import tyro
 from tqdm import tqdm
 
 from policies.bench_cell import bench_cell
 from policies.benchmarks import Measurement, benchmark_table, comparison_table, load_benchmark, save_benchmark
+
+Row = TypeVar("Row", bound=Measurement)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +46,18 @@ class Segmentation(Files):
     threads: int = 2  # of torch
 
 
+@dataclass(frozen=True, kw_only=True)
+class Pose(Files):
+    """Pose estimation against OpenCV's and Open3D's on the same inputs, with one thread and two."""
+
+    part: str = "tee"  # catalogue name or mesh file
+    count: int = 20  # scenes, each of three segments
+    whole_scenes: int = 2  # of them, searched as a whole, too
+    seed: int = 0  # of the scenes
+    opencv_python: Path | None = None  # interpreter of an environment with opencv-contrib-python-headless
+    open3d_python: Path | None = None  # interpreter of an environment with open3d-cpu
+
+
 def cell(args: tyro.conf.OmitArgPrefixes[Cell]) -> int:
     """Settling, stepping, camera frames by backend, attempts; everything on one core."""
     return _bench("cell", args, lambda: bench_cell(args.part, args.count, args.seed, args.repeats, args.picks))
@@ -56,7 +71,21 @@ def segmentation(args: tyro.conf.OmitArgPrefixes[Segmentation]) -> int:
     return _bench("segmentation", args, measure)
 
 
-def _bench(name: str, files: Files, measure: Callable[[], Iterator[Measurement]]) -> int:
+def pose(args: tyro.conf.OmitArgPrefixes[Pose]) -> int:
+    """Pose estimation against OpenCV's and Open3D's on the same inputs, with one thread and two."""
+    from policies.bench_pose import bench_pose, pose_table  # compiled kernels, which take seconds to import
+
+    interpreters = {"opencv": args.opencv_python, "open3d": args.open3d_python}
+    measure = partial(bench_pose, args.part, args.seed, args.count, args.whole_scenes, interpreters)
+    return _bench("pose", args, measure, pose_table)
+
+
+def _bench(
+    name: str,
+    files: Files,
+    measure: Callable[[], Iterator[Row]],
+    table: Callable[[Sequence[Row]], str] = benchmark_table,
+) -> int:
     try:
         if files.compare is not None:
             print(comparison_table(*(load_benchmark(path) for path in files.compare)))
@@ -65,7 +94,7 @@ def _bench(name: str, files: Files, measure: Callable[[], Iterator[Measurement]]
     except (ValueError, OSError, RuntimeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    print(benchmark_table(rows))
+    print(table(rows))
     for path in filter(None, (files.save, files.json)):
         save_benchmark(path, name, rows)
         print(f"kept in   {path}")
@@ -76,4 +105,5 @@ if __name__ == "__main__":
     app = tyro.extras.SubcommandApp()
     app.command(name="cell")(cell)
     app.command(name="segmentation")(segmentation)
+    app.command(name="pose")(pose)
     sys.exit(app.cli(description=__doc__))
