@@ -54,6 +54,7 @@ bench: $(VENV)/.run-stamp  ## a benchmark: make bench BENCH=cell ARGS='--save FI
 picture: $(VENV)/.run-stamp  ## the README's pictures
 	$(BIN)/python scripts/picture.py --part tee --seed 0 --out docs/cell.png
 	$(BIN)/python scripts/picture.py --show segmentation --part tee --seed 7 --out docs/segmentation.png
+	$(BIN)/python scripts/picture.py --show poses --part tee --seed 7 --out docs/poses.png
 
 build: $(VENV)/.dev-stamp  ## the wheel in dist/, tested alone from another directory
 	rm -rf dist

@@ -1,4 +1,4 @@
-"""Make the README's pictures: a settled bin with the arm over it, or a frame and how it is segmented."""
+"""Make the README's pictures: a settled bin with the arm over it, or what perception makes of a frame."""
 
 import sys
 from dataclasses import dataclass
@@ -14,17 +14,17 @@ from policies.portrait import portrait, save_png
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Make a picture of a settled bin with the arm over it, or of a frame and how it is segmented.
+    """Make a picture of a settled bin with the arm over it, or of what perception makes of a frame.
 
     No GL driver is needed.
     """
 
-    show: Literal["cell", "segmentation"] = "cell"  # segmentation: image, true parts, predicted parts
+    show: Literal["cell", "segmentation", "poses"] = "cell"  # segmentation: image, true and predicted parts
     part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
     seed: int = 0  # of the pile
     width: int = 1200  # of the picture of the cell [px]
     height: int = 800  # [px]
-    out: Path | None = None  # the PNG file; docs/cell.png or docs/segmentation.png unless given
+    out: Path | None = None  # the PNG file; docs/SHOW.png unless given
 
 
 def main(args: Arguments) -> int:
@@ -33,7 +33,7 @@ def main(args: Arguments) -> int:
         if args.show == "cell":
             picture = portrait(args.part, args.seed, args.width, args.height)
         else:
-            picture = _segmentation(args.part, args.seed)
+            picture = (_segmentation if args.show == "segmentation" else _poses)(args.part, args.seed)
     except (ValueError, OSError, RuntimeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -53,6 +53,23 @@ def _segmentation(part: str, seed: int) -> NDArray[np.uint8]:
 
     method = MethodConfig(weights=find_weights(Path(part).stem))
     return side_by_side(evaluate_scene(EvaluationConfig(scenes=SceneConfig(part=part, seed=seed), method=method), 0))
+
+
+def _poses(part: str, seed: int) -> NDArray[np.uint8]:
+    from binpick_env.parts import load_part
+    from binpick_env.pose_evaluation import PoseEvaluationConfig, evaluate_pose_scene
+    from binpick_env.pose_judgement import PoseScore
+    from binpick_env.pose_method import PoseMethodConfig
+    from binpick_env.pose_pictures import outlines
+    from binpick_env.synthesis import SceneConfig
+    from perception.pose.appearances import edge_appearances
+    from perception.segmentation.weights import find_weights
+
+    method = PoseMethodConfig(perception="learned", weights=find_weights(Path(part).stem))
+    record = evaluate_pose_scene(PoseEvaluationConfig(scenes=SceneConfig(part=part, seed=seed), method=method), 0)
+    model = load_part(part).model
+    bgr = outlines(record, PoseScore.of(record, 0, model), edge_appearances(model))
+    return np.ascontiguousarray(bgr[:, :, ::-1])
 
 
 if __name__ == "__main__":
