@@ -18,14 +18,16 @@ from perception.pose.estimator import EstimatorConfig, PoseEstimator
 from perception.pose.verification import VerificationConfig
 from perception.segmentation.instance import Instance
 
-# The coefficients that come with the package are fitted and may change; what is tested with these may not.
+# What comes with the package is fitted and may change; what is tested with these numbers may not.
 RANKING = VerificationConfig(
     bias=-10.0, edge_weight=4.0, explained_weight=8.0, support_weight=4.0, violation_weight=-15.0
 )
 SURENESS = ConfidenceConfig(
     bias=-10.0, edge_score=4.0, explained=8.0, support=4.0, violation=-15.0, margin=0.0, size=0.0, clear=3.0
 )
-CONFIG = EstimatorConfig(verification=RANKING, confidence=SURENESS)
+CONFIG = EstimatorConfig(
+    verification=RANKING, confidence=SURENESS, hypotheses=4, most_hypotheses=12, sure=0.9, finalists=1, min_score=0.5
+)
 
 
 def quick_estimator(part: PartModel, config: EstimatorConfig = CONFIG) -> PoseEstimator:
