@@ -17,7 +17,7 @@ from perception.pose.viewpoints import ViewCount, view_directions
 
 _VERSION = 1  # of what is stored: raise it when the same part and camera give other numbers
 _VIEWS: ViewCount = 26
-_HEIGHT = 0.07  # of the part's centre over the bin's floor: clear of it, and below the rim [m]
+_HEIGHT = 0.07  # of the part's centre over the bin's floor, if that is clear of it [m]
 
 
 @lru_cache(maxsize=8)
@@ -31,7 +31,7 @@ def whole_part_points(part: str, unit: Unit | None, camera: CameraConfig) -> flo
     mesh = loaded.model.mesh
     key = digest(_VERSION, np.asarray(mesh.vertices), np.asarray(mesh.faces), asdict(camera))
     arrays = cached_arrays("whole-part", key, lambda: {"points": _count(loaded, camera)})
-    return float(arrays["points"].max()) * (camera.distance - _HEIGHT)
+    return float(arrays["points"].max()) * (camera.distance - _height(loaded))
 
 
 def _count(part: Part, camera_config: CameraConfig) -> Floats:
@@ -43,7 +43,7 @@ def _count(part: Part, camera_config: CameraConfig) -> Floats:
     for turn in tangent_frames(view_directions(_VIEWS)):
         # The view's direction becomes the camera's -z: x of the frame turned there.
         R_cam_part = np.stack([turn[1], turn[2], turn[0]]) * np.array([[1.0], [-1.0], [-1.0]])
-        shift = np.array([0.0, 0.0, camera_config.distance - _HEIGHT]) - R_cam_part @ part.model.centre
+        shift = np.array([0.0, 0.0, camera_config.distance - _height(part)]) - R_cam_part @ part.model.centre
         simulation.reset()
         simulation.place(0, camera.T_world_cam @ make_transform(R_cam_part, shift))
         simulation.refresh()
@@ -51,3 +51,9 @@ def _count(part: Part, camera_config: CameraConfig) -> Floats:
         pixels = extract_boundary(capture.frame, workspace).pixels
         counts.append(np.count_nonzero(capture.instance_ids[pixels[:, 1], pixels[:, 0]] == 0))
     return np.array(counts, dtype=np.float64)
+
+
+def _height(part: Part) -> float:
+    """Return how high over the floor the part's centre is held [m]."""
+    reach = np.linalg.norm(np.asarray(part.model.mesh.vertices) - part.model.centre, axis=1).max()
+    return max(_HEIGHT, float(reach) + 0.005)

@@ -41,14 +41,14 @@ def moved(T: Floats, motion: Floats, pivot: Floats, arm: float) -> Floats:
     second = 0.5 - square / 24 if angle < 1e-4 else (1.0 - np.cos(angle)) / square
     cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
     rotation = np.eye(3) + first * cross + second * (cross @ cross)
-    out = np.eye(4)
+    out = np.zeros((4, 4))
+    out[3, 3] = 1.0
     for i in range(3):
         out[i, 3] = pivot[i] + motion[3 + i]
         for j in range(3):
             out[i, 3] += rotation[i, j] * (T[j, 3] - pivot[j])
             for k in range(3):
                 out[i, k] += rotation[i, j] * T[j, k]
-        out[i, i] -= 1.0
     return out
 
 

@@ -19,7 +19,7 @@ from perception.pose._kernels import tangent_frames
 from perception.pose.edge_models import EdgeModelConfig, edges_by_view, edges_key
 from perception.pose.thinning import thin_points
 
-_VERSION = 1  # of what is stored: raise it whenever the same part and settings give other points
+_VERSION = 2  # of what is stored: raise it whenever the same part and settings give other points
 SUBDIVISIONS = 3  # of the icosahedron: 642 directions
 _CELL = 0.01  # of d_max: pixel of the drawing in which a view's edges are counted; parallel ones merge as in an image
 
@@ -126,7 +126,7 @@ def _compute(part: PartModel, config: EdgeModelConfig, subdivisions: int) -> Arr
     radius = config.thinning * part.d_max
     points, tangents, lengths = [], [], []
     for direction, (_, seen, along) in zip(views, edges_by_view(part, views, config), strict=True):
-        lengths.append(_drawn_length(seen, direction, _CELL * part.d_max))
+        lengths.append(_drawn_length(seen, along, direction, _CELL * part.d_max))
         kept = thin_points(seen, along, radius, config.thinning_angle)
         points.append(seen[kept])
         tangents.append(along[kept])
@@ -139,7 +139,16 @@ def _compute(part: PartModel, config: EdgeModelConfig, subdivisions: int) -> Arr
     }
 
 
-def _drawn_length(points: Floats, direction: Floats, cell: float) -> float:
-    """Return the length [m] of (S, 3) edge points as lines of an image whose pixels measure ``cell``."""
+def _drawn_length(points: Floats, tangents: Floats, direction: Floats, cell: float) -> float:
+    """Return the pixels that (S, 3) edge points take as 8-connected lines, times their side ``cell`` [m]."""
     across = tangent_frames(direction[None])[0, 1:]
-    return cell * len(np.unique(np.round(points @ across.T / cell), axis=0))
+    places, slopes = points @ across.T / cell, tangents @ across.T
+    # A line has one pixel in each column, or in each row if it is steep: the one it passes the column's middle in.
+    rows = np.arange(len(points))
+    major = np.argmax(np.abs(slopes), axis=1)
+    pixels = np.round(places)
+    run = slopes[rows, major]
+    slope = np.divide(slopes[rows, 1 - major], run, out=np.zeros(len(rows)), where=np.abs(run) > 1e-12)
+    ahead = pixels[rows, major] - places[rows, major]
+    pixels[rows, 1 - major] = np.round(places[rows, 1 - major] + slope * ahead)
+    return cell * len(np.unique(pixels, axis=0))

@@ -15,7 +15,7 @@ from perception.pose.appearances import edge_appearances
 def expected_points(part: PartModel, K: Floats, depth: float) -> int:
     """Return P for ``depth`` [m] and camera ``K`` (3, 3) by the part's CAD edges; see `EdgeAppearances`.
 
-    Without knowledge of the light every crease counts: up to a quarter more points than a camera sees.
+    Without knowledge of the light every crease counts, also those that a camera would not see.
     """
     return edge_appearances(part).expected_points(K, depth)
 

@@ -27,6 +27,8 @@ from perception.pose.verification import Verdict, VerificationConfig, verify
 from perception.pose.voting import RawPoses, VoteConfig, vote
 from perception.segmentation.instance import Instance
 
+RIVALS = 0.25  # of d_max: poses of a scene whose centres are nearer speak of the same points
+Looked = tuple[Floats, Verdict]  # (4, 4) T_cam_part and what speaks for it
 Group = tuple[Floats, Floats]  # (N, 3) boundary points, camera frame [m], and their (N, 3) tangents
 
 
@@ -102,6 +104,8 @@ class EstimatorConfig:
         for name in ("hypotheses", "most_hypotheses", "finalists", "scene_hypotheses"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.most_hypotheses < self.hypotheses:
+            raise ValueError(f"most_hypotheses must be at least {self.hypotheses}, got {self.most_hypotheses}")
         for name in ("min_score", "sure"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be in [0, 1], got {getattr(self, name)}")
@@ -172,13 +176,20 @@ class PoseEstimator:
         scene, config = self._scene(boundary, frame), self.config
         cloud = self._thinned(boundary.points_cam, boundary.tangents_cam)
         raw = vote(self.table, *cloud, config=config.votes)
-        found = []
+        looked, sizes = [], []
         for T in self._heads(raw, config.scene_hypotheses):
             near = near_points(
                 T, self.surface.points, self.surface.visible(T), cloud[0], 2 * config.edges.thinning * self.part.d_max
             )
-            group = cloud[0][near], cloud[1][near]
-            found.append(self._best(T[None], group, scene, -1))
+            looked.append(self._refined(T, (cloud[0][near], cloud[1][near]), scene, final=True))
+            sizes.append(len(near))
+        centres = np.array([T[:3, :3] @ self.part.centre + T[:3, 3] for T, _ in looked]).reshape(-1, 3)
+        found = []
+        for k, size in enumerate(sizes):
+            # Two parts cannot lie this deep in each other: poses that do are rivals.
+            within = np.linalg.norm(centres - centres[k], axis=1) <= RIVALS * self.part.d_max
+            rivals = [looked[j] for j in np.flatnonzero(within) if j != k]
+            found.append(self._estimate(looked[k], rivals, size, -1))
         return self.verified(found)
 
     def verified(self, estimates: Iterable[PoseEstimate | None]) -> list[PoseEstimate]:
@@ -209,35 +220,43 @@ class PoseEstimator:
         if len(hypotheses) == 0:
             return None
         config = self.config
-        quick: list[tuple[Floats, Verdict]] = []
+        looked: list[Looked] = []
         for T in hypotheses:
-            if len(quick) >= config.hypotheses and max(verdict.score for _, verdict in quick) >= config.sure:
+            if len(looked) >= config.hypotheses and max(verdict.score for _, verdict in looked) >= config.sure:
                 break
-            quick.append(self._refined(T, group, scene, config.quick_edges, config.quick_surface))
-        quick.sort(key=lambda found: -found[1].evidence)
-        final = [
-            self._refined(T, group, scene, config.edge_refinement, config.surface_refinement)
-            for T, _ in quick[: config.finalists]
-        ]
-        T, verdict = max(final + quick[:1], key=lambda found: found[1].evidence)
-        alike = are_alike(T, np.stack([rival for rival, _ in quick]), self.part, config.clusters)
-        rivals = [rival.evidence for (_, rival), same in zip(quick, alike, strict=True) if not same]
-        margin = verdict.evidence - max(rivals, default=-np.inf)
+            looked.append(self._refined(T, group, scene, final=False))
+        looked.sort(key=_evidence, reverse=True)
+        for k, (T, verdict) in enumerate(looked[: config.finalists]):
+            looked[k] = max((T, verdict), self._refined(T, group, scene, final=True), key=_evidence)
+        looked.sort(key=_evidence, reverse=True)
+        return self._estimate(looked[0], looked[1:], len(group[0]), instance_idx)
+
+    def _estimate(self, best: Looked, rivals: Sequence[Looked], size: int, instance_idx: int) -> PoseEstimate:
+        """Return a pose with its score: what speaks for it, and by how much more than for any rival that differs."""
+        (T, verdict), config = best, self.config
+        poses = np.array([rival for rival, _ in rivals]).reshape(-1, 4, 4)
+        alike = are_alike(T, poses, self.part, config.clusters)
+        others = [rival.evidence for (_, rival), same in zip(rivals, alike, strict=True) if not same]
+        margin = verdict.evidence - max(others, default=-np.inf)
         return PoseEstimate(
             T_cam_part=T,
-            score=confidence(verdict, margin, max(len(group[0]), 1), config.confidence),
+            score=confidence(verdict, margin, max(size, 1), config.confidence),
             instance_idx=instance_idx,
             visible_fraction=verdict.visible_fraction,
             verdict=verdict,
             margin=margin,
-            size=len(group[0]),
+            size=size,
         )
 
-    def _refined(
-        self, T: Floats, group: Group, scene: _Scene, edges: EdgeRefinement, surface: SurfaceRefinement
-    ) -> tuple[Floats, Verdict]:
+    def _refined(self, T: Floats, group: Group, scene: _Scene, *, final: bool) -> Looked:
         """Return a pose moved onto what was seen, and what speaks for it."""
         config = self.config
+        edges = config.edge_refinement if final else config.quick_edges
+        surface = config.surface_refinement if final else config.quick_surface
         T = refine_edges(T, self.appearances, scene.boundary, edges).T_cam_part
         T = refine_surface(T, self.surface, scene.frame, surface).T_cam_part
         return T, verify(T, self.appearances, self.surface, scene.boundary, scene.frame, group, config.verification)
+
+
+def _evidence(looked: Looked) -> float:
+    return looked[1].evidence

@@ -218,9 +218,7 @@ def test_every_row_is_trained_chosen_and_judged(done: tuple[Path, AblationTable,
 
 
 @pytest.mark.slow
-def test_it_goes_on_where_it_was(
-    done: tuple[Path, AblationTable, list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_goes_on_where_it_was(done: tuple[Path, AblationTable, list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     out, table, _ = done
     stamps = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
     monkeypatch.setattr(ablation, "train", None)

@@ -317,7 +317,6 @@ def test_a_right_shape_passes(have: tuple[int, ...], want: tuple[int | None, ...
     require_shape("points_cam", np.zeros(have), want)
 
 
-
 def test_one_point_by_many_transforms() -> None:
     rng = np.random.default_rng(0)
     poses = np.stack([make_transform(random_rotation(rng), rng.normal(size=3)) for _ in range(5)])
@@ -325,4 +324,3 @@ def test_one_point_by_many_transforms() -> None:
     expected = [transform_points(pose, point[None])[0] for pose in poses]
     np.testing.assert_allclose(transform_point_each(poses, point), expected)
     assert transform_point_each(np.zeros((0, 4, 4)), point).shape == (0, 3)
-
