@@ -11,13 +11,13 @@ from perception.pose.verification import Verdict
 class ConfidenceConfig:
     """Coefficients of a logistic regression, fitted by `scripts/calibrate_poses.py`; see BENCHMARK.md for how well."""
 
-    bias: float = -10.092
-    edge_score: float = 3.63
-    explained: float = 2.221
-    support: float = 0.888
-    violation: float = -3.314
+    bias: float = -10.247
+    edge_score: float = 3.419
+    explained: float = 1.894
+    support: float = 1.524
+    violation: float = -3.511
     margin: float = 1.358
-    size: float = 1.248  # of the logarithm of the group's thinned boundary points
+    size: float = 1.324  # of the logarithm of the group's thinned boundary points
     clear: float = 3.0  # a larger margin counts no more
 
     def __post_init__(self) -> None:

@@ -98,7 +98,7 @@ class EstimatorConfig:
     sure: float = 0.9
     finalists: int = 2
     scene_hypotheses: int = 100
-    min_score: float = 0.85
+    min_score: float = 0.87
 
     def __post_init__(self) -> None:
         for name in ("hypotheses", "most_hypotheses", "finalists", "scene_hypotheses"):
