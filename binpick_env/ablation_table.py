@@ -21,8 +21,9 @@ def ablation_table(table: AblationTable) -> str:
     lines += [columns(_facts(table.rows)), "─" * _WIDE]
     what = (
         "Means over trainings; intervals are 95 %, over trainings and scenes. Thresholds (in the embedding) and the "
-        "Euclidean radius were chosen by AP on validation scenes, for each training. SGPN groups one random subset, "
-        "whose labels every other point takes from its nearest neighbour; the other rows group all points."
+        "Euclidean radius were chosen by AP on validation scenes, for each training. From SGPN to the distance mask "
+        "GroupMerging groups one random subset, whose labels every other point takes from its nearest neighbour; the "
+        "last two rows group all points."
     )
     lines += textwrap.wrap(f"NOTE  {what}", _WIDE) + textwrap.wrap(f"NOTE  {table.note}", _WIDE)
     return "\n".join(lines)
