@@ -12,14 +12,14 @@ from perception.pose.boundary_index import BoundaryIndex
 from perception.pose.refinement import require_depth, require_pose, view_direction
 from perception.pose.surface_model import SurfaceModel
 
-EDGE_DISTANCE_PX = 2  # how far from an edge point one looks for something that does not hide it
+HIDING_RADIUS = 2  # an edge point is hidden if all that is measured so near to it lies before it [px]
 
 
 @dataclass(frozen=True, kw_only=True)
 class VerificationConfig:
     """Tolerances, and the coefficients of the evidence.
 
-    These were fitted once to right and wrong hypotheses about tees and lids (2 223 of them, of scenes of seed 31), so
+    These were fitted once to right and wrong hypotheses about tees and lids (2 230 of them, of scenes of seed 31), so
     that the right one of a group comes first; how sure a pose is, `perception.pose.confidence` says.
     """
 
@@ -141,7 +141,7 @@ def edge_scores(
     gate, min_cosine = config.edge_distance * model.d_max, float(np.cos(config.edge_angle))
     matches = boundary.match(T, points, tangents, gate=gate, max_angle=config.edge_angle)
     tolerance = _tolerance(model.d_max, config)
-    hidden = _verification_kernels.hidden_points(T, points, matches, frame.depth, frame.K, tolerance, EDGE_DISTANCE_PX)
+    hidden = _verification_kernels.hidden_points(T, points, matches, frame.depth, frame.K, tolerance, HIDING_RADIUS)
     seen, unhidden = np.count_nonzero(matches >= 0), len(points) - np.count_nonzero(hidden)
     explained = _verification_kernels.explained_points(T, points, tangents, *group, gate, min_cosine)
     return float(seen / unhidden) if unhidden else 0.0, float(np.mean(explained)) if len(explained) else 0.0
