@@ -24,12 +24,14 @@ from binpick_env.pose_summary import NOTE
 from binpick_env.synthesis import SceneConfig, scene_note
 from perception.geometry import Floats
 from perception.metrics.average_precision import percentile_interval
+from perception.pose.bodies import BodyConfig
 from perception.pose.estimator import EstimatorConfig
 from perception.pose.viewpoints import VIEW_COUNTS
 from perception.provenance import command_line, git_commit, versions
 
 METRICS = ("recognition_rate", "recall", "precision")
 RESAMPLES = 1000
+ANYWHERE = BodyConfig(overlap=0.999, protrusion=0.999)  # no two parts lie in each other as much, or out of the bin
 Report = Callable[[str], object]
 
 
@@ -134,6 +136,7 @@ def pose_rows(full: EstimatorConfig | None = None) -> list[PoseRow]:
         *views,
         *signs,
         row("spread", "look-ups not spread over noise", replace(full, pairs=replace(full.pairs, angle_noise=0.0))),
+        row("alone", "bin and neighbours do not matter", replace(full, bodies=ANYWHERE)),
         row("full", "without verification", verified=False),
         replace(
             row("whole-scene", "whole scene, no segments"),

@@ -62,8 +62,8 @@ def _sample(record: PoseRecord, part: PartModel, clear: float) -> Sample:
     columns = {name: record.verdicts[:, k] for k, name in enumerate(EVIDENCE)}
     predictors = np.column_stack(
         [
-            *(columns[name] for name in ("edge_score", "explained", "support", "violation")),
-            np.clip(columns["margin"], -clear, clear),
+            *(columns[name] for name in ("edge_score", "support", "violation")),
+            *(np.clip(columns[name], -clear, clear) for name in ("margin", "firmness")),
             np.log(np.maximum(columns["size"], 1)),
         ]
     )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from binpick_env.config import CellConfig
-from binpick_env.evaluation import EvaluationConfig, require_unseen, use_threads
+from binpick_env.evaluation import EvaluationConfig, require_unseen
 from binpick_env.folder_claim import claim
 from binpick_env.pose_method import PoseMethod, PoseMethodConfig, pose_method
 from binpick_env.pose_record import EVIDENCE, STAGES, TRIALS, VERDICT, PoseRecord
@@ -29,6 +29,7 @@ from perception.pose.explanation import explain_segments
 from perception.provenance import git_commit
 from perception.segmentation.instance import Instance, labels_of
 from perception.segmentation.surface import coarse_surface
+from perception.threads import use_threads
 
 _log = logging.getLogger(__name__)
 CONFIG_FILE = "pose_evaluation.json"
@@ -226,7 +227,7 @@ def _trial_ms(method: PoseMethod, boundary: BoundaryCloud, chosen: Sequence[Inst
 
 
 def _verdicts(estimates: Sequence[PoseEstimate]) -> Floats:
-    rows = [[*(getattr(e.verdict, name) for name in VERDICT), e.margin, e.size] for e in estimates]
+    rows = [[*(getattr(e.verdict, name) for name in VERDICT), e.margin, e.firmness, e.size] for e in estimates]
     return np.array(rows, np.float64).reshape(-1, len(EVIDENCE))
 
 

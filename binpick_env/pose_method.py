@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 
+from binpick_env.config import CellConfig
 from binpick_env.parts import Unit, load_part
 from binpick_env.segmentation_method import MethodConfig, segmenter
 from perception.boundary import BoundaryCloud
@@ -119,8 +120,8 @@ class PoseMethod:
 
 
 def make_estimator(part: PartModel, config: EstimatorConfig) -> Estimator:
-    """Build the estimator of a part's poses."""
-    return PoseEstimator(part, config)
+    """Build the estimator of a part's poses in the standard bin."""
+    return PoseEstimator(part, config, CellConfig().bin.workspace())
 
 
 def pose_method(config: PoseMethodConfig, part: str, unit: Unit | None = None) -> PoseMethod:

@@ -12,10 +12,10 @@ from binpick_env.segmentation_record import RecordError, SceneRecord
 from perception.files import replace_atomically
 from perception.geometry import Floats, require_shape
 
-RECORD_VERSION = 1  # raise it when a field changes its meaning: older records are then computed anew
+RECORD_VERSION = 2  # raise it when a field changes its meaning: older records are then computed anew
 STAGES = ("boundary", "surface", "segmentation", "pose", "trials", "explanation", "total")
 VERDICT = ("edge_score", "explained", "support", "violation", "measured")
-EVIDENCE = (*VERDICT, "margin", "size")  # of each pose
+EVIDENCE = (*VERDICT, "margin", "firmness", "size")  # of each pose
 TRIALS = 3  # groups of a scene whose poses the paper counts
 _INTS = {"labels": np.int32, "explained": np.int32, "instance_ids": np.int16, "pixels": np.int16}  # as they are stored
 _PLAIN = ("confidences", "explained_confidences", "visible_fractions", "T_cam_parts", "trials", "poses", "scores")
@@ -40,7 +40,7 @@ class PoseRecord:
         scores: (E,) in [0, 1].
         groups: (E,) int64 group that each pose was found in, -1 if in the whole scene.
         seen: (E,) estimated share of the part that is visible.
-        verdicts: (E, 7) the numbers of `EVIDENCE`.
+        verdicts: (E, 8) the numbers of `EVIDENCE`.
         verified: (E,) bool what the estimator delivers.
         pixels: (N, 2) int64 pixel (u, v) of each point.
         picture: (h, w) uint8 grey image around the bin; (0, 0) if none was kept.

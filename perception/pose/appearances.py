@@ -5,7 +5,8 @@ refine a pose they are too coarse, since between two of them curved silhouettes 
 direction is farther than about 5 deg from one that was computed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -78,6 +79,19 @@ class EdgeAppearances:
         view = int(np.argmax(self.views @ direction_part))
         seen = slice(self.starts[view], self.starts[view + 1])
         return self.points[seen], self.tangents[seen]
+
+    def every(self, step: int) -> "EdgeAppearances":
+        """Return the same views with every ``step``-th of their points.
+
+        Raises:
+            ValueError: ``step`` is not positive.
+        """
+        if step < 1:
+            raise ValueError(f"step must be at least 1, got {step}")
+        kept = [np.arange(first, last, step) for first, last in pairwise(self.starts.tolist())]
+        chosen = np.concatenate(kept).astype(np.int64)
+        starts = np.cumsum([0, *(len(k) for k in kept)])
+        return replace(self, starts=starts, points=self.points[chosen], tangents=self.tangents[chosen])
 
     def expected_points(self, K: Floats, depth: float) -> int:
         """Return P of the paper: the boundary pixels of the part's largest view at ``depth`` [m], seen by camera K.

