@@ -20,6 +20,7 @@ from binpick_env.perceiver import Exposure, PoseNoise, make_perceiver
 from binpick_env.render import CellRenderer
 from binpick_env.robot import HOME
 from binpick_env.settle import drop_and_settle
+from binpick_env.sighting import Sighting
 from binpick_env.simulation import Simulation
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, quat_from_matrix
@@ -72,19 +73,20 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     Flat scalars: `success` and `is_success` (every part was delivered), `delivered`, `remaining`, `total` (parts),
     `frame_id`, `last_event` (how a part left play in this step, a `Delivery`, or empty), `time` (simulated, [s]).
     Wall clock is kept out of it, so that two copies stay equal: see the attributes `render_time` and `perception_time`.
+    The attribute `sighting` has the segments and poses behind the candidates, `exposure` the frame and its truth.
 
     ## Arguments
     | name | default | meaning |
     | --- | --- | --- |
     | `part` | `"tee"` | catalogue name, path to an STL, OBJ or PLY file, or a loaded `Part` |
     | `num_parts` | `(20, 30)` | number of parts, or the range it is drawn from |
-    | `perception` | `"oracle"` | `"oracle"`, `"gt_masks"` or `"learned"` |
+    | `perception` | `"learned"` | `"learned"` (from pixels), `"gt_masks"` (true segments) or `"oracle"` (true poses) |
     | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"` |
     | `camera` | `None` | a `CameraConfig` |
     | `pose_noise` | `None` | a `PoseNoise` added by the oracle |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
     | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts |
-    | `threads` | `None` | threads of the ray caster; all cores unless given |
+    | `threads` | `None` | threads of the ray caster, and of torch and OpenCV in perception; all cores unless given |
     | `render_mode` | `None` | `"rgb_array"`, `"depth_array"` (the camera's view) or `"human"` (MuJoCo's viewer) |
 
     ## Versions
@@ -100,7 +102,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self,
         part: str | Part = "tee",
         num_parts: int | tuple[int, int] = (20, 30),
-        perception: str = "oracle",
+        perception: str = "learned",
         sensor: SensorPreset = "good",
         camera: CameraConfig | None = None,
         pose_noise: PoseNoise | None = None,
@@ -130,14 +132,16 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             raise ValueError(f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}")
         if obs_mode not in ("state", "rgbd"):
             raise ValueError(f"obs_mode must be 'state' or 'rgbd', got {obs_mode!r}")
-        self._perceiver = make_perceiver(perception, pose_noise)
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
         self.config = config or CellConfig()
         if camera is not None:
             self.config = replace(self.config, camera=camera)
         self.part = part if isinstance(part, Part) else load_part(part)
+        self.workspace: Workspace = self.config.bin.workspace()
+        self._perceiver = make_perceiver(perception, self.part.model, self.workspace, pose_noise, threads)
         self.render_mode = render_mode
         self.simulation = Simulation(self.config, self.part, high)
-        self.workspace: Workspace = self.config.bin.workspace()
         self._num_parts = (low, high)
         self._sensor = sensor
         self._obs_mode = obs_mode
@@ -257,7 +261,8 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             visible_fractions=fractions,
         )
         rendered = time.perf_counter()
-        self.candidates: list[PoseCandidate] = self._perceiver.perceive(self.exposure, self.np_random)[:MAX_CANDIDATES]
+        self.sighting: Sighting = self._perceiver.perceive(self.exposure, self.np_random)
+        self.candidates: list[PoseCandidate] = self.sighting.candidates[:MAX_CANDIDATES]
         self.render_time = rendered - started
         self.perception_time = time.perf_counter() - rendered
         self._candidate_arrays = pad_candidates(self.candidates, self.workspace)

@@ -4,15 +4,12 @@ import logging
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import torch
 
 from binpick_env.boundary_quality import wrong_side
 from binpick_env.config import CellConfig
@@ -28,6 +25,7 @@ from perception.provenance import git_commit
 from perception.segmentation.instance import Instance, labels_of
 from perception.segmentation.surface import coarse_surface
 from perception.segmentation.weights import load_record
+from perception.threads import use_threads
 
 _log = logging.getLogger(__name__)
 CONFIG_FILE = "evaluation.json"
@@ -168,16 +166,3 @@ def _is_whole(path: Path) -> bool:
         _log.warning("evaluated again: %s", error)
         return False
     return True
-
-
-@contextmanager
-def use_threads(count: int) -> Iterator[None]:
-    """Let torch and OpenCV compute on ``count`` threads in here."""
-    before = torch.get_num_threads(), cv2.getNumThreads()
-    torch.set_num_threads(count)
-    cv2.setNumThreads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before[0])
-        cv2.setNumThreads(before[1])

@@ -1,14 +1,14 @@
 """The observation pipeline behind one Protocol: from what the camera saw to pose candidates."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.camera import Capture
 from binpick_env.candidates import PoseCandidate
+from binpick_env.sighting import Sighting
 from perception.frame import Workspace
 from perception.geometry import Floats, rotation_about, transform_points
 from perception.part import PartModel
@@ -39,8 +39,8 @@ class Exposure:
 class Perceiver(Protocol):
     """Turns a view into pose candidates."""
 
-    def perceive(self, view: Exposure, rng: np.random.Generator) -> list[PoseCandidate]:
-        """Return the seen parts, best first."""
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> Sighting:
+        """Return the seen parts, best first, and how they were seen."""
         ...
 
 
@@ -68,11 +68,11 @@ class OraclePerceiver:
         self._noise = noise or PoseNoise()
         self._offered_from = offered_from
 
-    def perceive(self, view: Exposure, rng: np.random.Generator) -> list[PoseCandidate]:
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> Sighting:
         """Return a candidate for each part of sufficient visible_fraction, the most visible first."""
         order = np.argsort(-view.visible_fractions, kind="stable")
         seen = [int(i) for i in order if view.visible_fractions[i] >= self._offered_from]
-        return [self._candidate(view, i, rng) for i in seen]
+        return Sighting(candidates=[self._candidate(view, i, rng) for i in seen])
 
     def _candidate(self, view: Exposure, i: int, rng: np.random.Generator) -> PoseCandidate:
         T_world_part = view.T_world_parts[i].copy()
@@ -104,29 +104,29 @@ def make_candidate(
     )
 
 
-def _missing(mode: str, lacks: str) -> Callable[[PoseNoise | None], Perceiver]:
-    def refuse(noise: PoseNoise | None) -> Perceiver:
-        raise NotImplementedError(
-            f"perception={mode!r} needs {lacks}, which this version lacks; use perception='oracle'"
-        )
+def make_perceiver(
+    mode: str, part: PartModel, workspace: Workspace, noise: PoseNoise | None = None, threads: int | None = None
+) -> Perceiver:
+    """Build the perceiver called ``mode``.
 
-    return refuse
-
-
-_PERCEIVERS: dict[str, Callable[[PoseNoise | None], Perceiver]] = {
-    "oracle": OraclePerceiver,
-    "gt_masks": _missing("gt_masks", "the pose estimator PPF-MEAM"),
-    "learned": _missing("learned", "the segmentation network and the pose estimator PPF-MEAM"),
-}
-
-
-def make_perceiver(mode: str, noise: PoseNoise | None = None) -> Perceiver:
-    """Build the perceiver called ``mode``; ``noise`` is the oracle's.
+    Args:
+        mode: ``"oracle"``, true poses; ``"gt_masks"``, true segments and estimated poses; ``"learned"``, the network's.
+        part: What to look for. The models of its edges and its surface take seconds the first time.
+        workspace: The bin it lies in.
+        noise: The oracle's.
+        threads: That torch and OpenCV may use while the others look; None leaves them alone.
 
     Raises:
-        ValueError: There is no such mode.
-        NotImplementedError: The mode is named in the contract but not built yet; the text says what it lacks.
+        ValueError: There is no such mode, or the part's mesh does not enclose a volume.
+        WeightsError: (a ValueError) ``"learned"`` has no weights for the part; the text names the commands that make
+            them and the other modes.
     """
-    if mode not in _PERCEIVERS:
-        raise ValueError(f"perception must be one of {', '.join(_PERCEIVERS)}, got {mode!r}")
-    return _PERCEIVERS[mode](noise)
+    if mode not in get_args(Perception):
+        raise ValueError(f"perception must be one of {', '.join(get_args(Perception))}, got {mode!r}")
+    if mode == "oracle":
+        return OraclePerceiver(noise)
+    # Here, since it brings the pose estimator's kernels, which the oracle does without.
+    from binpick_env.pixel_perceiver import gt_masks_perceiver, learned_perceiver
+
+    build = learned_perceiver if mode == "learned" else gt_masks_perceiver
+    return build(part, workspace, threads)

@@ -1,6 +1,7 @@
 """One core means one core: what is timed here is meant to be compared."""
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -29,3 +30,28 @@ def one_core() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def use_threads(count: int | None) -> Iterator[None]:
+    """Let OpenCV, and torch if it is loaded by now, compute on ``count`` threads in here; None leaves them alone.
+
+    Raises:
+        ValueError: ``count`` is not positive.
+    """
+    if count is None:
+        yield
+        return
+    if count < 1:
+        raise ValueError(f"threads must be at least 1, got {count}")
+    torch = sys.modules.get("torch")  # what does without a network need not load it
+    before = cv2.getNumThreads(), torch.get_num_threads() if torch else 0
+    cv2.setNumThreads(count)
+    if torch:
+        torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before[0])
+        if torch:
+            torch.set_num_threads(before[1])

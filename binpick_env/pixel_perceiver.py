@@ -1,0 +1,125 @@
+"""Perceivers that work from pixels: segments by the trained network, or the true ones; poses by PPF-MEAM.
+
+Torch is imported only for the network.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from binpick_env.candidates import PoseCandidate
+from binpick_env.perceiver import Exposure, make_candidate
+from binpick_env.sighting import Sighting
+from perception.boundary import BoundaryCloud
+from perception.frame import Workspace
+from perception.geometry import transform_points
+from perception.part import PartModel
+from perception.pipeline import Perception, Pipeline, perceive_by
+from perception.pose.estimator import PoseEstimate, PoseEstimator
+from perception.segmentation.grouping import GroupingConfig
+from perception.segmentation.instance import Instance
+from perception.threads import use_threads
+
+LIKELY = 0.5  # score of a pose that is offered where none is verified: it is rather right than wrong
+MIN_POINTS = GroupingConfig().min_points  # of a true segment: the network's smallest group
+
+
+class PixelPerceiver:
+    """Verified poses become candidates; the truth beside the frame names their parts, for reports only.
+
+    Where no pose is verified, those that are likely stand in: the last part of a bin is not given up for a doubt.
+    """
+
+    def __init__(
+        self, see: Callable[[Exposure], Perception], estimator: PoseEstimator, threads: int | None = None
+    ) -> None:
+        """Look with ``see``.
+
+        Args:
+            see: From an exposure to segments and poses.
+            estimator: Of these poses; it knows P.
+            threads: That torch and OpenCV may use in the meantime; None leaves them alone.
+        """
+        self._see = see
+        self._estimator = estimator
+        self._threads = threads
+
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> Sighting:  # noqa: ARG002 - chance is the oracle's
+        """Return a candidate for each verified pose, best first; an empty bin has none."""
+        with use_threads(self._threads):
+            seen = self._see(view)
+        if not seen.poses:
+            seen = replace(seen, poses=self._estimator.verified(seen.estimates, LIKELY))
+        owners = point_owners(view, seen.boundary)
+        groups = [seen.segments[pose.instance_idx].point_idx for pose in seen.poses]
+        candidates = [self._candidate(view, pose, owners[idx]) for pose, idx in zip(seen.poses, groups, strict=True)]
+        return Sighting(candidates=candidates, perception=seen)
+
+    def _candidate(self, view: Exposure, pose: PoseEstimate, owners: NDArray[np.int64]) -> PoseCandidate:
+        """Complete a pose whose group's points lie on the parts (M,) ``owners``."""
+        frame = view.capture.frame
+        depth = float(transform_points(pose.T_cam_part, view.part.centre[None])[0, 2])
+        whole = self._estimator.appearances.expected_points(frame.K, depth)
+        return make_candidate(
+            view,
+            frame.T_world_cam @ pose.T_cam_part,
+            score=pose.score,
+            visible_fraction=pose.visible_fraction,
+            fill=len(owners) / max(whole, 1),
+            part=main_owner(owners),
+        )
+
+
+def learned_perceiver(part: PartModel, workspace: Workspace, threads: int | None = None) -> PixelPerceiver:
+    """Build the perceiver whose segments are the trained network's.
+
+    Raises:
+        WeightsError: There are no weights for the part; the text names the commands that make them and the other modes.
+        ValueError: The part's mesh does not enclose a volume.
+    """
+    from perception.segmentation.weights import WeightsError
+
+    try:
+        pipeline = Pipeline.for_part(part, workspace)
+    except WeightsError as error:
+        raise WeightsError(
+            f"perception='learned' cannot look for {part.name!r}: {error}; without a network there are "
+            "perception='gt_masks' (true segments) and 'oracle' (true poses)"
+        ) from error
+    return PixelPerceiver(lambda view: pipeline.perceive(view.capture.frame), pipeline.estimator, threads)
+
+
+def gt_masks_perceiver(part: PartModel, workspace: Workspace, threads: int | None = None) -> PixelPerceiver:
+    """Build the perceiver whose segments are the true ones.
+
+    Raises:
+        ValueError: The part's mesh does not enclose a volume.
+    """
+    estimator = PoseEstimator(part, workspace=workspace)
+
+    def see(view: Exposure) -> Perception:
+        return perceive_by(lambda boundary: true_segments(view, boundary), estimator, view.capture.frame, workspace)
+
+    return PixelPerceiver(see, estimator, threads)
+
+
+def true_segments(view: Exposure, boundary: BoundaryCloud) -> list[Instance]:
+    """Return the boundary points of each part that has at least `MIN_POINTS`, all of score 1."""
+    owners = point_owners(view, boundary)
+    sizes = np.bincount(owners + 1)[1:]
+    return [
+        Instance(point_idx=np.flatnonzero(owners == part), score=1.0) for part in np.flatnonzero(sizes >= MIN_POINTS)
+    ]
+
+
+def point_owners(view: Exposure, boundary: BoundaryCloud) -> NDArray[np.int64]:
+    """Return the (N,) true part that each boundary point lies on, -1 for none."""
+    owners: NDArray[np.int64] = view.capture.instance_ids[boundary.pixels[:, 1], boundary.pixels[:, 0]]
+    return owners
+
+
+def main_owner(owners: NDArray[np.int64]) -> int:
+    """Return the part that owns most of a group's (M,) points, -1 where most of them lie on none."""
+    return int(np.bincount(owners + 1).argmax()) - 1
