@@ -1,0 +1,22 @@
+"""The 13 categories of S3DIS in their official order (Armeni et al., CVPR 2016): an index is a semantic label."""
+
+CATEGORIES = (
+    "ceiling",
+    "floor",
+    "wall",
+    "beam",
+    "column",
+    "window",
+    "door",
+    "table",
+    "chair",
+    "sofa",
+    "bookcase",
+    "board",
+    "clutter",
+)
+CLUTTER = CATEGORIES.index("clutter")
+SCORED = CATEGORIES[:CLUTTER]  # the twelve of the paper's Table 1
+READ_AS = {"stairs": "clutter"}  # a name in the raw tree that is no category, as PointNet's and SGPN's code read it
+AREAS = (1, 2, 3, 4, 5, 6)
+TEST_AREA = 5

@@ -1,0 +1,125 @@
+"""The paper's Table 1: instance segmentation of the rooms of S3DIS."""
+
+import logging
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+from tqdm import tqdm
+
+from binpick_env.folder_claim import claim
+from binpick_env.process_map import WorkerError, map_indices
+from binpick_env.text_tables import columns
+from perception.files import write_atomically
+from perception.s3dis.categories import AREAS
+from perception.s3dis.evaluation import Population, Predict, S3disScores, match_rooms
+from perception.s3dis.identities import predict_ground_truth, predict_merged_ground_truth_blocks
+from perception.s3dis.prepare import prepare_rooms, summary
+from perception.s3dis.published import SOURCE, table_rows
+from perception.s3dis.raw_tree import find_raw_rooms
+from perception.s3dis.record import recorded
+from perception.s3dis.room import find_rooms
+from perception.s3dis.synthesis import SynthesisConfig, synthesize_rooms
+
+IDENTITIES: dict[str, Predict] = {
+    "ground_truth": predict_ground_truth,
+    "merged_ground_truth_blocks": predict_merged_ground_truth_blocks,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Synthesize:
+    """Write furnished rooms in the on-disk format of S3DIS, Area_1 to Area_6 in turn; goes on where it was stopped."""
+
+    out: Path  # root of the tree
+    rooms: int = 12
+    seed: int = 0  # room i follows from this and i alone
+    density: float = SynthesisConfig().density  # points on a square metre of surface; S3DIS is as dense as some 9000
+    workers: int = 2  # processes; each computes on one core
+
+    def run(self) -> None:
+        """Write the rooms."""
+        config = SynthesisConfig(seed=self.seed, density=self.density)
+        claim(self.out / "synthetic.json", asdict(config), "rooms")
+        list(_bar(synthesize_rooms(config, self.rooms, self.out, _processes(self.workers)), self.rooms))
+        print(f"{self.rooms} rooms in {self.out}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepare:
+    """Read the raw tree of S3DIS (Area_*/ROOM/Annotations/*.txt) into one compact file a room.
+
+    The same command again keeps the rooms that are whole and makes the others.
+    """
+
+    raw: Path  # the folder that Area_1 is in, of the aligned version 1.2
+    out: Path  # folder of the rooms
+    workers: int = 2  # processes; each computes on one core
+    json: Path | None = None  # where to write what was made: rooms, points, remarks, seconds
+
+    def run(self) -> None:
+        """Prepare the rooms."""
+        rooms = find_raw_rooms(self.raw)
+        bar = _bar(prepare_rooms(rooms, self.out, _processes(self.workers)), len(rooms))
+        made = summary(list(bar))
+        if self.json is not None:
+            write_atomically(self.json, recorded({**made, "seconds": bar.format_dict["elapsed"]}))
+        print(*made["remarks"], f"{made['rooms']} rooms of {made['points']} points in {self.out}", sep="\n")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate:
+    """Print AP50 of the twelve categories beside the paper's Table 1."""
+
+    rooms: Path  # folder made by prepare
+    predictions: Literal["ground_truth", "merged_ground_truth_blocks"]  # what to judge
+    areas: tuple[int, ...] = AREAS  # to evaluate on
+    population: Population = "room"  # the room's points, each once; or those of all blocks, as SGPN's code counts
+    seed: int = 0  # of the share-out of a block's points among samples
+    workers: int = 2  # processes; each computes on one core
+    json: Path | None = None  # where to write ap50 by category, mean_ap50, ap25, ap
+
+    def run(self) -> None:
+        """Evaluate."""
+        paths = find_rooms(self.rooms, self.areas)
+        judged = match_rooms(IDENTITIES[self.predictions], paths, _processes(self.workers), self.population, self.seed)
+        scores = S3disScores.of(list(_bar(judged, len(paths))))
+        print(f"{SOURCE}; last row: {len(paths)} rooms of {self.rooms}\n")
+        print(columns(table_rows([(self.predictions, scores)])))
+        print(f"\nmean AP25 {100 * scores.ap25:.1f}, mean AP {100 * scores.ap:.1f}")
+        if self.json is not None:
+            about = {"predictions": self.predictions, "population": self.population, "rooms": len(paths)}
+            write_atomically(self.json, recorded({**asdict(scores), **about}))
+
+
+Arguments = Synthesize | Prepare | Evaluate
+
+
+def _processes(workers: int) -> Callable[..., Any]:
+    return partial(map_indices, workers=workers)
+
+
+def _bar(made: Iterable[Any], total: int) -> Any:
+    return tqdm(made, total=total, unit="room", smoothing=0.02)
+
+
+def main(args: Arguments) -> int:
+    """Run a subcommand; return the exit code."""
+    try:
+        args.run()
+    except KeyboardInterrupt:
+        print("\nstopped; finished rooms are kept: the same command goes on from there", file=sys.stderr)
+        return 130
+    except (ValueError, OSError, WorkerError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
+    sys.exit(main(tyro.cli(Arguments)))
