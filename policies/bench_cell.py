@@ -43,7 +43,7 @@ def bench_cell(part: str, count: int, seed: int, repeats: int, picks: int) -> It
 
 
 def _rows(part: str, count: int, seed: int, repeats: int, picks: int) -> Iterator[Measurement]:
-    env = BinPickEnv(part=part, num_parts=count, threads=1)
+    env = BinPickEnv(part=part, num_parts=count, perception="oracle", threads=1)
     try:
         yield repeat("drop and settle", "s", lambda k: _settle_seconds(env, count, seed + k), repeats)
         env.reset(seed=seed)

@@ -15,7 +15,7 @@ class Termination(StrEnum):
     """Why a bin ended."""
 
     EMPTY = "empty"  # no part is left in play
-    TWO_FAILURES = "2F"  # two consecutive failed attempts (VGN's rule)
+    TWO_FAILURES = "2F"  # two consecutive failed attempts (VGN's rule), or as many as the bin was allowed
     ABSTAINED = "abstained"  # nothing to try, twice in a row, the second time on a fresh look
     TIME = "time"  # the environment truncated the episode
 
@@ -61,7 +61,12 @@ class BinResult:
 
 
 def run_bin(
-    env: BinPickEnv, picker: Picker, seed: int, on_pick: Callable[[PickResult], None] | None = None
+    env: BinPickEnv,
+    picker: Picker,
+    seed: int,
+    on_pick: Callable[[PickResult], None] | None = None,
+    *,
+    max_failures: int | None = 2,
 ) -> BinResult:
     """Pick one bin: two consecutive failures end it, and so does a second consecutive abstention.
 
@@ -70,17 +75,18 @@ def run_bin(
         picker: Acts on the same environment.
         seed: Of the pile, the sensor noise and everything else that is random.
         on_pick: Called after each decision, for progress and pictures.
+        max_failures: Consecutive failures that end the bin; None for never.
     """
     env.reset(seed=seed)
     picker.reset()
     clutter = ClutterStats.from_fractions(env.exposure.visible_fractions[env.simulation.in_play])
     picks: list[PickResult] = []
-    while (termination := _ended(env, picks)) is None:
+    while (termination := _ended(env, picks, max_failures)) is None:
         result = picker.pick()
         picks.append(result)
         if on_pick is not None:
             on_pick(result)
-        if result.abstention is not None and _ended(env, picks) is None:
+        if result.abstention is not None and _ended(env, picks, max_failures) is None:
             env.look()
     return BinResult(
         seed=seed,
@@ -93,7 +99,7 @@ def run_bin(
     )
 
 
-def _ended(env: BinPickEnv, picks: list[PickResult]) -> Termination | None:
+def _ended(env: BinPickEnv, picks: list[PickResult], max_failures: int | None) -> Termination | None:
     if env.remaining == 0:
         return Termination.EMPTY
     if env.truncated:
@@ -102,6 +108,7 @@ def _ended(env: BinPickEnv, picks: list[PickResult]) -> Termination | None:
     if len(last) == 2 and all(pick.abstention is not None for pick in last):
         return Termination.ABSTAINED
     attempts = [pick for pick in picks if pick.outcome is not None]
-    if len(attempts) >= 2 and not attempts[-1].success and not attempts[-2].success:
+    failing = max_failures is not None and len(attempts) >= max_failures
+    if failing and not any(pick.success for pick in attempts[-max_failures:]):  # type: ignore[operator]
         return Termination.TWO_FAILURES
     return None

@@ -30,7 +30,7 @@ def portrait(part: str, seed: int, width: int, height: int) -> NDArray[np.uint8]
     Raises:
         RuntimeError: The arm does not reach over the bin.
     """
-    env = BinPickEnv(part=part)
+    env = BinPickEnv(part=part, perception="oracle")
     try:
         env.reset(seed=seed)
         _move_over_bin(env)

@@ -22,6 +22,15 @@ def test_two_consecutive_failures_end_a_bin() -> None:
     assert len(picker.script) == 1
 
 
+@pytest.mark.parametrize(("max_failures", "attempts"), [(1, 1), (3, 5), (None, 6)])
+def test_the_number_of_failures_that_end_a_bin_can_be_set(max_failures: int | None, attempts: int) -> None:
+    script = [attempt(o) for o in (MISSED, DELIVERED, MISSED, MISSED, DROPPED, MISSED)]
+    result, _, _ = play(*script, abstain(), abstain(), max_failures=max_failures)
+    assert len(result.attempts) == attempts
+    ended = Termination.ABSTAINED if max_failures is None else Termination.TWO_FAILURES
+    assert result.termination is ended
+
+
 def test_an_abstention_between_two_failures_does_not_part_them() -> None:
     result, env, _ = play(attempt(MISSED), abstain(), attempt(MISSED))
     assert result.termination is Termination.TWO_FAILURES
