@@ -19,7 +19,7 @@ from perception.part import PartModel
 from perception.pipeline import Perception, Pipeline, perceive_by
 from perception.pose.estimator import PoseEstimate, PoseEstimator
 from perception.segmentation.grouping import GroupingConfig
-from perception.segmentation.instance import Instance
+from perception.segmentation.instance import Instance, true_instances
 from perception.threads import use_threads
 
 LIKELY = 0.5  # score of a pose that is offered where none is verified: it is rather right than wrong
@@ -100,18 +100,12 @@ def gt_masks_perceiver(part: PartModel, workspace: Workspace, threads: int | Non
     estimator = PoseEstimator(part, workspace=workspace)
 
     def see(view: Exposure) -> Perception:
-        return perceive_by(lambda boundary: true_segments(view, boundary), estimator, view.capture.frame, workspace)
+        def segment(boundary: BoundaryCloud) -> list[Instance]:
+            return true_instances(point_owners(view, boundary), MIN_POINTS)
+
+        return perceive_by(segment, estimator, view.capture.frame, workspace)
 
     return PixelPerceiver(see, estimator, threads)
-
-
-def true_segments(view: Exposure, boundary: BoundaryCloud) -> list[Instance]:
-    """Return the boundary points of each part that has at least `MIN_POINTS`, all of score 1."""
-    owners = point_owners(view, boundary)
-    sizes = np.bincount(owners + 1)[1:]
-    return [
-        Instance(point_idx=np.flatnonzero(owners == part), score=1.0) for part in np.flatnonzero(sizes >= MIN_POINTS)
-    ]
 
 
 def point_owners(view: Exposure, boundary: BoundaryCloud) -> NDArray[np.int64]:

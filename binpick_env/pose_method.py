@@ -6,8 +6,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, Protocol, get_args
 
-import numpy as np
-
 from binpick_env.config import CellConfig
 from binpick_env.parts import Unit, load_part
 from binpick_env.segmentation_method import MethodConfig, segmenter
@@ -18,7 +16,7 @@ from perception.pose.estimator import EstimatorConfig, PoseEstimate, PoseEstimat
 from perception.pose.explanation import ExplanationConfig
 from perception.pose.surface_model import SurfaceModel
 from perception.segmentation.grouping import GroupingConfig
-from perception.segmentation.instance import Instance
+from perception.segmentation.instance import Instance, true_instances
 from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.surface import Surface
 
@@ -74,7 +72,7 @@ class Estimator(Protocol):
         """Return each instance's pose, None where none was found."""
         ...
 
-    def verified(self, estimates: Iterable[PoseEstimate | None]) -> list[PoseEstimate]:
+    def verified(self, estimates: Iterable[PoseEstimate | None], min_score: float | None = None) -> list[PoseEstimate]:
         """Return those that are delivered."""
         ...
 
@@ -112,11 +110,7 @@ class PoseMethod:
         """Return the groups of points; without a network those of the parts that have enough points, all of score 1."""
         if self._segmenter is not None and surface is not None:
             return self._segmenter.segment(boundary, surface, self.part.d_max)
-        sizes = np.bincount(scene.instance_ids + 1)[1:]
-        return [
-            Instance(point_idx=np.flatnonzero(scene.instance_ids == part), score=1.0)
-            for part in np.flatnonzero(sizes >= self.config.min_points)
-        ]
+        return true_instances(scene.instance_ids, self.config.min_points)
 
 
 def make_estimator(part: PartModel, config: EstimatorConfig) -> Estimator:

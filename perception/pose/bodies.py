@@ -13,7 +13,7 @@ from perception.part import PartModel
 from perception.pose._body_kernels import samples_within
 from perception.pose.surface_model import SurfaceModel
 
-_VERSION = 1  # of what is stored: raise it whenever the same part gives another grid
+_VERSION = 2  # of what is stored: raise it whenever the same part gives another grid
 _CELLS = 80  # of the grid along d_max
 _SAMPLES = 512  # of the surface that are asked whether they lie in another part
 
@@ -113,7 +113,8 @@ def body_model(part: PartModel, surface: SurfaceModel) -> BodyModel:
 def _compute(part: PartModel) -> Arrays:
     cell = part.d_max / _CELLS
     low, high = part.mesh.bounds
-    origin = np.asarray(low, np.float64) - 2 * cell
+    # Half a cell off the bounds: on a flat face nobody can say whether a point lies within.
+    origin = np.asarray(low, np.float64) - 1.5 * cell
     shape = np.ceil((high - origin) / cell).astype(np.int64) + 3
     axes = [origin[k] + cell * np.arange(shape[k]) for k in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -301,8 +301,7 @@ class PoseEstimator:
         else:
             T = refine_edges(T, self._quick_appearances, scene.boundary, config.quick_edges).T_cam_part
             T = refine_surface(T, self._quick_surface, scene.frame, config.quick_surface).T_cam_part
-        surface = self.surface if final else self._quick_surface
-        return _Look(T=T, verdict=self._verdict(T, group, scene, self.appearances, surface), final=final)
+        return _Look(T=T, verdict=self._verdict(T, group, scene, self.appearances, self.surface), final=final)
 
     def _verdict(
         self, T: Floats, group: Group, scene: _Scene, edges: EdgeAppearances, surface: SurfaceModel
@@ -310,15 +309,13 @@ class PoseEstimator:
         return verify(T, edges, surface, scene.boundary, scene.frame, group, self.config.verification)
 
     def twins_of(self, look: _Look, group: Group, scene: _Scene) -> list[_Look]:
-        """Return the twins of a pose that are possible, and not hopeless at first sight."""
+        """Return the twins of a pose that are not hopeless at first sight."""
         found = []
         for motion in self._twins:
             T = look.T @ motion
-            at_sight = self._verdict(T, group, scene, self._quick_appearances, self._quick_surface)
+            at_sight = self._verdict(T, group, scene, self.appearances, self.surface)
             if at_sight.evidence >= look.evidence - self.config.twins.lead:
-                twin = self.refined(T, group, scene, final=False)
-                if self.possible(twin.T, scene.frame):
-                    found.append(twin)
+                found.append(self.refined(T, group, scene, final=False))
         return found
 
     def _scene(self, boundary: BoundaryCloud, frame: Frame) -> _Scene:
@@ -357,6 +354,7 @@ class _Choice:
         self._estimator, self._group, self._scene = estimator, group, scene
         self._looks = looks
         self._held: dict[_Look, float] = {}  # asked for again whenever a rival is ruled out
+        self._ruled_out: list[Callable[[Floats], bool]] = []  # by other groups' poses
         self._instance_idx = instance_idx
 
     def best(self) -> PoseEstimate | None:
@@ -366,7 +364,8 @@ class _Choice:
         self._finish()
         estimator, best = self._estimator, self._looks[0]
         if best not in self._held:
-            self._looks += estimator.twins_of(best, self._group, self._scene)
+            twins = estimator.twins_of(best, self._group, self._scene)
+            self._looks += [twin for twin in twins if self._stands(twin.T)]
             self._finish()
             best = self._looks[0]
             self._held[best] = estimator.held(best, self._group, self._scene)
@@ -379,16 +378,20 @@ class _Choice:
         for k, look in enumerate(looks[: estimator.config.finalists]):
             if not look.final:
                 final = estimator.refined(look.T, self._group, self._scene, final=True)
-                if final.evidence < look.evidence or not estimator.possible(final.T, self._scene.frame):
-                    final = replace(look, final=True)
-                looks[k] = final
+                better = final.evidence >= look.evidence and self._stands(final.T)
+                looks[k] = final if better else replace(look, final=True)
         looks.sort(key=_evidence, reverse=True)
 
     def rule_out(self, impossible: Callable[[Floats], bool]) -> bool:
         """Leave out impossible poses; return whether there were any."""
+        self._ruled_out.append(impossible)  # for poses that are yet to be looked at
         left = [look for look in self._looks if not impossible(look.T)]
         found, self._looks = len(left) < len(self._looks), left
         return found
+
+    def _stands(self, T_cam_part: Floats) -> bool:
+        free = not any(impossible(T_cam_part) for impossible in self._ruled_out)
+        return free and self._estimator.possible(T_cam_part, self._scene.frame)
 
 
 def _evidence(look: _Look) -> float:

@@ -108,4 +108,4 @@ def _registered(T: Floats, surface: SurfaceModel, tree: cKDTree) -> tuple[Floats
     points = surface.points @ T[:3, :3].T + T[:3, 3]
     there, _ = tree.query(points)
     back, _ = cKDTree(points).query(surface.points)
-    return T, float((there.mean() + back.mean()) / 2)
+    return T, float(np.mean(there) + np.mean(back)) / 2

@@ -54,3 +54,14 @@ def instances_of(labels: NDArray[np.int64], scores: NDArray[np.floating] | Seque
         if starts[k + 1] > starts[k]
     ]
     return sorted(found, key=lambda instance: -instance.score)
+
+
+def true_instances(part_ids: NDArray[np.int64], min_points: int) -> list[Instance]:
+    """Return the true segments, all of score 1: the points of each part that has at least ``min_points`` of (N,).
+
+    Args:
+        part_ids: (N,) part that each point lies on, -1 for none.
+        min_points: Smallest segment.
+    """
+    found = instances_of(part_ids, np.ones(part_ids.max(initial=-1) + 1))
+    return [instance for instance in found if len(instance.point_idx) >= min_points]

@@ -1,5 +1,8 @@
-"""The oracle: which parts it offers, in which order, and how large its errors are."""
+"""The oracle: which parts it offers, in which order, and how large its errors are; and how a perceiver is chosen."""
 
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +13,11 @@ from binpick_env.config import BinConfig
 from binpick_env.perceiver import OFFERED_FROM, Exposure, OraclePerceiver, PoseNoise, make_candidate, make_perceiver
 from perception.geometry import Floats, make_transform, random_rotation, rotation_angle, transform_points
 from perception.part import PartModel
+from perception.segmentation.predictor import SegmentationPredictor
+from perception.segmentation.weights import WeightsError
 
 WORKSPACE = BinConfig().workspace()
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def off_centre() -> PartModel:
@@ -37,7 +43,9 @@ def view(fractions: list[float], part: PartModel | None = None, seed: int = 0) -
 
 
 def perceive(seen: Exposure, noise: PoseNoise | None = None, seed: int = 0) -> list[Any]:
-    return OraclePerceiver(noise).perceive(seen, np.random.default_rng(seed))
+    sighting = OraclePerceiver(noise).perceive(seen, np.random.default_rng(seed))
+    assert sighting.perception is None  # it reads the truth
+    return sighting.candidates
 
 
 def test_parts_are_offered_from_the_threshold_the_most_visible_first() -> None:
@@ -51,7 +59,8 @@ def test_parts_are_offered_from_the_threshold_the_most_visible_first() -> None:
 
 def test_another_threshold_can_be_set() -> None:
     seen = view([0.29, 0.05, 0.7])
-    assert [c.part for c in OraclePerceiver(offered_from=0.05).perceive(seen, np.random.default_rng(0))] == [2, 0, 1]
+    sighting = OraclePerceiver(offered_from=0.05).perceive(seen, np.random.default_rng(0))
+    assert [c.part for c in sighting.candidates] == [2, 0, 1]
 
 
 @pytest.mark.parametrize("fractions", [[], [0.0, 0.1]])
@@ -62,7 +71,7 @@ def test_nothing_visible_is_an_empty_list(fractions: list[float]) -> None:
 def test_without_noise_poses_are_true_and_chance_is_left_alone() -> None:
     seen = view([1.0, 0.5])
     rng = np.random.default_rng(3)
-    candidates = OraclePerceiver().perceive(seen, rng)
+    candidates = OraclePerceiver().perceive(seen, rng).candidates
     for candidate in candidates:
         np.testing.assert_array_equal(candidate.T_world_part, seen.T_world_parts[candidate.part])
     assert rng.random() == np.random.default_rng(3).random()
@@ -139,8 +148,8 @@ def test_a_candidate_may_be_changed_without_changing_the_truth() -> None:
 
 def test_the_oracle_is_built_with_its_noise() -> None:
     seen = view([1.0])
-    perceiver = make_perceiver("oracle", PoseNoise(translation=0.01))
-    (candidate,) = perceiver.perceive(seen, np.random.default_rng(0))
+    perceiver = make_perceiver("oracle", seen.part, WORKSPACE, PoseNoise(translation=0.01))
+    (candidate,) = perceiver.perceive(seen, np.random.default_rng(0)).candidates
     assert np.linalg.norm(candidate.T_world_part - seen.T_world_parts[0]) > 1e-3
 
 
@@ -152,13 +161,51 @@ def test_negative_noise_is_refused(noise: dict[str, float]) -> None:
 
 def test_an_unknown_mode_is_refused() -> None:
     with pytest.raises(ValueError, match="perception must be one of oracle, gt_masks, learned, got 'lidar'"):
-        make_perceiver("lidar")
+        make_perceiver("lidar", off_centre(), WORKSPACE)
 
 
-@pytest.mark.parametrize(
-    ("mode", "lacks"),
-    [("gt_masks", "the pose estimator PPF-MEAM"), ("learned", "the segmentation network and the pose estimator")],
-)
-def test_a_mode_that_is_not_built_says_what_it_lacks(mode: str, lacks: str) -> None:
-    with pytest.raises(NotImplementedError, match=rf"perception='{mode}' needs {lacks}.*use perception='oracle'"):
-        make_perceiver(mode)
+@pytest.mark.parametrize("mode", ["gt_masks", "learned"])
+def test_an_open_mesh_is_refused_where_poses_are_estimated(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SegmentationPredictor, "for_part", lambda part: None)
+    whole = off_centre()
+    half = PartModel(
+        name="half",
+        mesh=trimesh.Trimesh(whole.mesh.vertices, whole.mesh.faces[:-2], process=False),
+        d_max=whole.d_max,
+        symmetry=whole.symmetry,
+        centre=whole.centre,
+    )
+    with pytest.raises(ValueError, match="the mesh of 'half' must enclose a volume"):
+        make_perceiver(mode, half, WORKSPACE)
+
+
+def test_a_part_without_weights_is_told_how_to_train_them_and_what_else_there_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path))  # where a user's own would lie
+    with pytest.raises(WeightsError) as raised:
+        make_perceiver("learned", off_centre(), WORKSPACE)
+    text = str(raised.value)
+    for told in (
+        "perception='learned' cannot look for 'block'",
+        "scripts/generate_scenes.py --part block",
+        "scripts/train_segmentation.py --part block",
+        "perception='gt_masks' (true segments) and 'oracle' (true poses)",
+    ):
+        assert told in text
+
+
+@pytest.mark.parametrize(("mode", "loaded"), [("oracle", False), ("gt_masks", False), ("learned", True)])
+def test_torch_is_loaded_for_a_network_only(mode: str, loaded: bool) -> None:
+    code = f"""
+import sys
+import gymnasium as gym
+import binpick_env
+env = gym.make("BinPick-v0", num_parts=1, perception={mode!r}, threads=1)
+observation, _ = env.reset(seed=31)
+assert observation["candidate_mask"].sum() == 1
+print("torch" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"{loaded}\n"

@@ -14,7 +14,7 @@ NOISE = 0.06  # of a share of some 200 parts, which are not independent within a
 @pytest.mark.slow
 @pytest.mark.parametrize("part", CATALOGUE)
 def test_the_standard_bin_is_cluttered(part: str) -> None:
-    env = BinPickEnv(part=part, camera=CameraConfig(width=320, height=240))
+    env = BinPickEnv(part=part, perception="oracle", camera=CameraConfig(width=320, height=240))
     fractions = []
     for seed in range(BINS):
         env.reset(seed=seed)

@@ -13,14 +13,14 @@ from binpick_env.segmentation_record import record_path
 from perception.pose.confidence import ConfidenceConfig, coefficients
 
 TRUTH = ConfidenceConfig(
-    bias=-2.0, edge_score=3.0, explained=1.0, support=-1.0, violation=-2.0, margin=1.5, size=0.4, clear=3.0
+    bias=-2.0, edge_score=3.0, support=-1.0, violation=-2.0, margin=1.5, firmness=0.8, size=0.4, clear=3.0
 )
 
 
 def drawn(count: int = 40_000) -> Sample:
     """Return poses that are right as often as `TRUTH` says."""
     rng = np.random.default_rng(0)
-    predictors = rng.uniform(0, 1, (count, 6))
+    predictors = rng.uniform(0, 1, (count, len(coefficients(TRUTH))))
     chance = 1 / (1 + np.exp(-(TRUTH.bias + predictors @ np.array(coefficients(TRUTH)))))
     right = rng.uniform(size=count) < chance
     return Sample(predictors=predictors, right=right, to_find=right, missed=0)
@@ -49,8 +49,9 @@ def test_one_kind_alone_is_refused(right: bool) -> None:
 
 
 def test_operating_points_by_hand() -> None:
-    config = replace(TRUTH, bias=0.0, edge_score=1.0, explained=0.0, support=0.0, violation=0.0, margin=0.0, size=0.0)
-    predictors = np.zeros((4, 6))
+    nothing = dict.fromkeys(("bias", "support", "violation", "margin", "firmness", "size"), 0.0)
+    config = replace(TRUTH, edge_score=1.0, **nothing)
+    predictors = np.ones((4, 6))
     predictors[:, 0] = (-2.0, -1.0, 1.0, 2.0)  # scores .12, .27, .73, .88
     right = np.array([False, True, False, True])
     sample = Sample(predictors=predictors, right=right, to_find=right, missed=2)
@@ -66,6 +67,7 @@ def test_records_are_read_with_their_truth(tmp_path: Path) -> None:
     poses = np.stack([true[0], moved(true[1], degrees=20.0), true[2]])
     verdicts = np.tile(np.arange(len(EVIDENCE)) / 10, (3, 1))
     verdicts[:, EVIDENCE.index("margin")] = (np.inf, -9.0, 0.5)
+    verdicts[:, EVIDENCE.index("firmness")] = (-4.0, np.inf, 0.25)
     verdicts[:, EVIDENCE.index("size")] = (1.0, np.e, 100.0)
     changes = estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2]) | {"verdicts": verdicts}
     record(**changes).save(record_path(tmp_path, 0))
@@ -73,8 +75,9 @@ def test_records_are_read_with_their_truth(tmp_path: Path) -> None:
     assert sample.right.tolist() == [True, False, True]
     assert sample.to_find.tolist() == [True, False, False]  # the third part is hidden by more than half
     assert sample.missed == 1
-    np.testing.assert_allclose(sample.predictors[:, :4], [[0.0, 0.1, 0.2, 0.3]] * 3)
-    np.testing.assert_allclose(sample.predictors[:, 4], [3.0, -3.0, 0.5])
+    np.testing.assert_allclose(sample.predictors[:, :3], [[0.0, 0.2, 0.3]] * 3)
+    np.testing.assert_allclose(sample.predictors[:, 3], [3.0, -3.0, 0.5])
+    np.testing.assert_allclose(sample.predictors[:, 4], [-3.0, 3.0, 0.25])
     np.testing.assert_allclose(sample.predictors[:, 5], [0.0, 1.0, np.log(100.0)])
 
 

@@ -75,11 +75,12 @@ class Teller:
         """Score the first part low."""
         return PoseEstimate(
             T_cam_part=scene.T_cam_parts[owner],
-            score=0.9 if owner else 0.2,
+            score=0.95 if owner else 0.2,
             instance_idx=k,
             visible_fraction=0.6,
             verdict=VERDICT,
             margin=1.0,
+            firmness=2.0,
             size=50,
         )
 
@@ -129,7 +130,7 @@ def test_a_record_has_every_groups_pose_beside_the_truth(tellers: list[Teller]) 
     np.testing.assert_array_equal(kept.poses, scene.T_cam_parts[groups])
     assert kept.groups.tolist() == list(range(len(groups)))
     assert kept.verified.tolist() == [owner > 0 for owner in groups]
-    np.testing.assert_array_equal(kept.verdicts, np.tile([0.1, 0.2, 0.3, 0.4, 0.5, 1.0, 50.0], (len(groups), 1)))
+    np.testing.assert_array_equal(kept.verdicts, np.tile([0.1, 0.2, 0.3, 0.4, 0.5, 1.0, 2.0, 50.0], (len(groups), 1)))
     np.testing.assert_array_equal(kept.seen, np.full(len(groups), 0.6))
     np.testing.assert_array_equal(kept.T_cam_parts, scene.T_cam_parts)
     np.testing.assert_array_equal(kept.pixels, scene.boundary.pixels)
@@ -216,7 +217,7 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path, tellers: list[Teller
         assert np.asarray(getattr(back, name)).dtype == np.asarray(value).dtype
     with np.load(tmp_path / "r.npz") as stored:
         np.savez(tmp_path / "new.npz", **{**stored, "version": 99})
-    with pytest.raises(RecordError, match=r"new\.npz is of version 99, this code reads 1"):
+    with pytest.raises(RecordError, match=r"new\.npz is of version 99, this code reads 2"):
         PoseRecord.load(tmp_path / "new.npz")
     for name in ("labels", "trials", "groups"):
         with pytest.raises(ValueError, match=f"{name} go up to 7, but there are 4 groups"):
@@ -252,7 +253,7 @@ def test_a_run_goes_on_and_damaged_records_are_made_again(
 def test_another_evaluations_folder_is_refused_and_the_difference_named(tmp_path: Path, tellers: list[Teller]) -> None:
     list(evaluate_poses(config(), 1, tmp_path))
     other = replace(EstimatorConfig(), min_score=0.25)
-    text = r"another configuration \(method\.estimator\.min_score: 0\.87 there, 0\.25 here\); choose another folder"
+    text = r"another configuration \(method\.estimator\.min_score: 0\.93 there, 0\.25 here\); choose another folder"
     with pytest.raises(ValueError, match=text):
         next(evaluate_poses(config(estimator=other), 1, tmp_path))
     with pytest.raises(ValueError, match=r"\(seed: 31 there, 8 here\)"):

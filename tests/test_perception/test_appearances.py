@@ -62,6 +62,45 @@ def test_the_nearest_view_is_taken(ell: EdgeAppearances) -> None:
         np.testing.assert_array_equal(tangents, ell.tangents[ell.starts[nearest] : ell.starts[nearest + 1]])
 
 
+@pytest.mark.parametrize("step", [1, 2, 3, 1000])
+def test_every_so_many_points_of_each_view_are_taken(ell: EdgeAppearances, step: int) -> None:
+    fewer = ell.every(step)
+    assert fewer.starts.dtype == np.int64
+    for view in ell.views:
+        points, tangents = ell.seen_from(view)
+        found = fewer.seen_from(view)
+        np.testing.assert_array_equal(found[0], [points[k] for k in range(0, len(points), step)])
+        np.testing.assert_array_equal(found[1], [tangents[k] for k in range(0, len(points), step)])
+    np.testing.assert_array_equal(fewer.views, ell.views)
+    assert fewer.expected_points(at.K, 0.5) == ell.expected_points(at.K, 0.5)
+
+
+def test_every_so_many_points_of_views_without_any_are_none() -> None:
+    """The second view has no points, the third has one."""
+    points = np.arange(12.0).reshape(4, 3)
+    few = EdgeAppearances(
+        views=np.eye(3),
+        starts=np.array([0, 3, 3, 4]),
+        lengths=np.ones(3),
+        points=points,
+        tangents=-points,
+        centre=np.zeros(3),
+        d_max=1.0,
+    )
+    half = few.every(2)
+    assert half.starts.tolist() == [0, 2, 2, 3]
+    assert half.points.tolist() == points[[0, 2, 3]].tolist()
+    assert half.tangents.tolist() == (-points[[0, 2, 3]]).tolist()
+    nothing = replace(few, starts=np.zeros(4, np.int64), points=points[:0], tangents=points[:0]).every(2)
+    assert (nothing.starts.tolist(), nothing.points.shape) == ([0, 0, 0, 0], (0, 3))
+
+
+@pytest.mark.parametrize("step", [0, -2])
+def test_a_step_that_leads_nowhere_is_refused(ell: EdgeAppearances, step: int) -> None:
+    with pytest.raises(ValueError, match=f"step must be at least 1, got {step}"):
+        ell.every(step)
+
+
 def test_a_box_is_seen_from_above_without_what_lies_below() -> None:
     box = edge_appearances(BOX, subdivisions=1)
     points, tangents = box.seen_from(np.array([0.0, 0.0, 1.0]))

@@ -35,7 +35,7 @@ def turned(T: Floats, angle: float, centre: tuple[float, float, float]) -> Float
     return make_transform(rotation, np.array(centre) - rotation @ ELL.centre)
 
 
-PAIR = turned(FROM_ABOVE, 0.3, (-0.022, 0.0, 0.5)), turned(LEANING, 2.3, (0.022, 0.01, 0.49))  # the second on the first
+PAIR = turned(FROM_ABOVE, 0.3, (-0.022, 0.0, 0.5)), turned(LEANING, 2.3, (0.022, 0.01, 0.48))  # the second on the first
 BOTH = scene_of(ELL, *PAIR)
 
 
@@ -72,7 +72,7 @@ def test_a_pose_is_found_of_which_half_is_hidden(seed: int) -> None:
     whole, half = scene_of(ELL, T), scene_of(ELL, T, hiders=[PLATE])
     assert len(half.boundary) < 0.65 * len(whole.boundary)
     (found,) = verified_in(half)
-    assert_at(found, T)
+    assert_at(found, T, 0.001, 1.25)
     assert found.visible_fraction == found.verdict.support * found.verdict.measured
     assert 0.35 < found.visible_fraction < 0.7
     assert verified_in(whole)[0].visible_fraction > 0.95
@@ -88,7 +88,7 @@ def test_a_pose_is_found_among_points_of_nothing(seed: int) -> None:
     (clean,) = groups_of(scene)
     assert found is not None
     assert clean is not None
-    assert found.score < clean.score  # what it leaves unexplained speaks against it
+    assert found.verdict.evidence < clean.verdict.evidence - 1  # what it leaves unexplained speaks against it
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -163,12 +163,16 @@ def test_the_margin_is_the_lead_over_poses_that_differ(monkeypatch: pytest.Monke
     judged: list[tuple[Floats, float]] = []
     verify = module.verify
 
-    def noted(T: Floats, *rest: Any) -> Any:
-        judged.append((T, verify(T, *rest).evidence))
-        return verify(T, *rest)
+    searching = quick_estimator(ELL, replace(CONFIG, sure=1.0))
+
+    def noted(T: Floats, edges: Any, *rest: Any) -> Any:
+        verdict = verify(T, edges, *rest)
+        if edges is searching.appearances:  # all of them, as no nudged pose is looked at
+            judged.append((T, verdict.evidence))
+        return verdict
 
     monkeypatch.setattr(module, "verify", noted)
-    (found,) = quick_estimator(ELL, replace(CONFIG, sure=1.0)).estimate_groups(scene.boundary, group, scene.frame)
+    (found,) = searching.estimate_groups(scene.boundary, group, scene.frame)
     assert found is not None
     quick = judged[:-1]
     finalist = max(range(len(quick)), key=lambda k: quick[k][1])  # its refined pose has taken its place
@@ -185,11 +189,11 @@ def test_the_margin_is_the_lead_over_poses_that_differ(monkeypatch: pytest.Monke
 
 
 def test_the_score_is_the_confidence() -> None:
-    sureness = ConfidenceConfig(margin=0.7, size=0.4, bias=-8.0)
+    sureness = ConfidenceConfig(margin=0.7, firmness=0.3, size=0.4, bias=-8.0)
     other = quick_estimator(ELL, replace(CONFIG, confidence=sureness))
     for found in (*groups_of(BOTH, other), *other.estimate_scene(SEEN.boundary, SEEN.frame)):
         assert found is not None
-        assert found.score == confidence(found.verdict, found.margin, found.size, sureness)
+        assert found.score == confidence(found.verdict, found.margin, found.firmness, found.size, sureness)
     sizes = [len(one.point_idx) for one in BOTH.groups()]
     for found, size in zip(groups_of(BOTH, other), sizes, strict=True):
         assert found is not None
@@ -253,7 +257,7 @@ def test_the_same_scene_gives_the_same_bits() -> None:
     assert bits(groups_of(BOTH)) == first
     assert bits(groups_of(BOTH, quick_estimator(at.ell()))) == first
     alone = ESTIMATOR.estimate_groups(BOTH.boundary, BOTH.groups()[::-1], BOTH.frame)
-    assert bits(alone[::-1]) == first  # a group's pose does not depend on the other groups
+    assert bits(alone[::-1]) == first  # the order of the groups does not matter
     scenes = [ESTIMATOR.estimate_scene(BOTH.boundary, BOTH.frame) for _ in range(2)]
     assert bits(list(scenes[0])) == bits(list(scenes[1]))
 

@@ -16,7 +16,7 @@ from perception.boundary import BoundaryCloud, extract_boundary
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, make_transform, rotation_about, transform_points
 from perception.metrics.pose_error import pose_error
-from perception.pipeline import STAGES, Perception, Pipeline
+from perception.pipeline import STAGES, Perception, Pipeline, perceive_by
 from perception.pose.estimator import PoseEstimator
 from perception.segmentation.instance import Instance, labels_of
 from perception.segmentation.predictor import SegmentationPredictor
@@ -114,6 +114,23 @@ def test_the_predictor_sees_the_whole_frame_in_cells_of_the_part() -> None:
     assert surface.depth[surface.depth > 0].min() == pytest.approx(FRAME.depth.min(), abs=0.003)
 
 
+def test_any_segmentation_goes_the_same_way_to_poses() -> None:
+    seen = perceive_by(true_groups, ESTIMATOR, FRAME, BIN)
+    assert_poses(seen)
+    assert [pose.T_cam_part.tobytes() for pose in seen.poses] == [pose.T_cam_part.tobytes() for pose in SEEN.poses]
+    assert tuple(seen.ms) == STAGES
+
+
+def test_every_segment_has_its_best_pose_verified_or_not() -> None:
+    assert [estimate.instance_idx for estimate in SEEN.estimates if estimate is not None] == [0, 1]
+    strict = quick_estimator(ELL, replace(ESTIMATOR.config, min_score=1.0))
+    seen = Pipeline(PREDICTOR, strict, BIN).perceive(FRAME)
+    assert seen.poses == []
+    assert [estimate.score for estimate in seen.estimates if estimate is not None] == [
+        estimate.score for estimate in SEEN.estimates if estimate is not None
+    ]
+
+
 def test_every_stage_is_timed() -> None:
     assert tuple(SEEN.ms) == STAGES
     assert all(0 <= ms < 60_000 for ms in SEEN.ms.values())
@@ -182,14 +199,14 @@ def test_a_pipeline_for_a_part_has_its_weights_and_models(monkeypatch: pytest.Mo
         asked.append(part)
         return PREDICTOR
 
-    def estimator(part: object) -> PoseEstimator:
-        asked.append(part)
+    def estimator(part: object, *, workspace: object) -> PoseEstimator:
+        asked.extend([part, workspace])
         return ESTIMATOR
 
     monkeypatch.setattr(SegmentationPredictor, "for_part", for_part)
     monkeypatch.setattr(module, "PoseEstimator", estimator)
     made = Pipeline.for_part(ELL, BIN)
-    assert asked == ["ell", ELL]
+    assert asked == ["ell", ELL, BIN]
     assert (made.predictor, made.estimator, made.workspace) == (PREDICTOR, ESTIMATOR, BIN)
     assert_poses(made.perceive(FRAME))
 

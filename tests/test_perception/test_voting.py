@@ -268,9 +268,17 @@ def test_points_without_a_direction_neither_vote_nor_shift_the_references():
     assert is_right(raw, T_cam_part).any()
 
 
-@pytest.mark.parametrize(("count", "step"), [(0, 1), (30, 1), (79, 1), (80, 2), (160, 4), (1000, 5)])
-def test_references_are_every_fifth_or_closer(count, step):
+@pytest.mark.parametrize(
+    ("count", "step"), [(0, 1), (30, 1), (49, 1), (50, 2), (100, 4), (199, 7), (200, 8), (1000, 8)]
+)
+def test_references_are_every_eighth_or_closer(count, step):
     np.testing.assert_array_equal(reference_points(count), np.arange(0, count, step))
+
+
+@pytest.mark.parametrize(("count", "step"), [(0, 1), (30, 1), (79, 1), (80, 2), (160, 4), (1000, 5)])
+def test_references_are_as_close_as_is_asked_for(count, step):
+    config = VoteConfig(reference_step=5, min_references=40)
+    np.testing.assert_array_equal(reference_points(count, config), np.arange(0, count, step))
 
 
 @pytest.mark.parametrize("count", [0, 1])
