@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from binpick_env.config import CameraConfig, SensorPreset
+from binpick_env.config import CameraConfig, CellConfig, SensorPreset
 from binpick_env.env import BinPickEnv
 from binpick_env.parts import Part, Unit, load_part
 from binpick_env.perceiver import Perception, PoseNoise, make_perceiver
@@ -19,8 +19,10 @@ from perception.provenance import git_commit
 from policies.episode import Picker, run_bin
 from policies.outcomes import PickResult
 from policies.pictures import Album
+from policies.recording import Recording
 from policies.records import BinRecord
 from policies.scripted import PickerSettings, ScriptedPicker
+from policies.sight import FrameRecord, judge_frame
 from policies.video import Film, WatchedEnv
 
 
@@ -33,7 +35,7 @@ class EvaluationConfig:
     symmetry: Literal["detect", "none"] = "detect"
     density: float | None = None  # [kg/m^3]; None takes the catalogue's, or aluminium's for a file
     seed: int = 0  # of the whole evaluation; see `bin_seed`
-    perception: Perception = "oracle"
+    perception: Perception = "learned"
     sensor: SensorPreset = "good"
     num_parts: tuple[int, int] = (20, 30)  # smallest and largest fill of a bin
     camera: CameraConfig = field(default_factory=CameraConfig)
@@ -63,12 +65,13 @@ class EvaluationConfig:
         """Load what the configuration names, before any worker starts, and return the part.
 
         Raises:
-            ValueError: There is no such part or perception mode, or the part's file is not usable.
-            NotImplementedError: The perception mode is not built yet.
+            ValueError: There is no such part or perception mode, the part's file is not usable, or there are no weights
+                for it where perception is "learned".
             FileNotFoundError: The part's file does not exist.
         """
-        make_perceiver(self.perception, self.pose_noise)
-        return self.load_part()
+        part = self.load_part()
+        make_perceiver(self.perception, part.model, CellConfig().bin.workspace(), self.pose_noise)
+        return part
 
 
 class BinError(RuntimeError):
@@ -116,9 +119,10 @@ class CellShelf(AbstractContextManager["CellShelf"]):
 class Extras:
     """What else is made of a bin; none of it changes the record's numbers."""
 
-    pictures: Path | None = None  # folder for pictures of the bin and its failures
+    pictures: Path | None = None  # folder for pictures of the bin and of every decision
     video: Path | None = None  # mp4 file to film the bin into
     video_limit: float = 60.0  # length of the film in simulated time [s]
+    rerun: Path | None = None  # rrd file to record the bin into
 
 
 def bin_seed(seed: int, index: int) -> int:
@@ -156,7 +160,7 @@ def evaluate_bin(
     Args:
         config: All that the record's numbers depend on, wall clock aside.
         index: Of the bin.
-        extras: Pictures and film, if wanted.
+        extras: Pictures, film and recording, if wanted.
         on_pick: Called after each decision, for progress.
         shelf: Holds environment and picker between bins; without one the scripted cell is built, used and closed.
 
@@ -186,13 +190,15 @@ def _evaluate(
 ) -> BinRecord:
     env, picker = cell
     album = Album(extras.pictures, f"bin_{index:04d}")
-    with Film.into(extras.video, env, limit=extras.video_limit) as film:
+    with Film.into(extras.video, env, limit=extras.video_limit) as film, Recording(extras.rerun, env) as recording:
         watched = _WatchedPicker(env, picker, album)
-        result = run_bin(env, watched, seed, on_pick)
-        wall = time.perf_counter() - watched.start - album.seconds - film.seconds
+        result = run_bin(env, recording.around(watched), seed, on_pick)
+        wall = time.perf_counter() - watched.start - watched.judging
+        wall -= album.seconds + film.seconds + recording.seconds
     return BinRecord.from_result(
         result,
         watched.pictures,
+        watched.frames,
         config_hash=config.digest(),
         index=index,
         wall=wall,
@@ -205,13 +211,15 @@ def _evaluate(
 
 
 class _WatchedPicker:
-    """Passes decisions on, and keeps a picture of the settled bin and of every attempt that failed."""
+    """Passes decisions on, judges the frames they are made on, and keeps pictures of the settled bin and of each."""
 
     def __init__(self, env: BinPickEnv, picker: Picker, album: Album) -> None:
         self._env, self._picker, self._album = env, picker, album
         self.pictures: list[str] = []
+        self.frames: list[FrameRecord] = []
         self.before = ""
         self.render = 0.0  # wall clock that frames took to render [s]
+        self.judging = 0.0  # wall clock spent on comparing with the truth [s]
         self._frame_id = -1
         self.start = self.settled = time.perf_counter()
 
@@ -223,12 +231,20 @@ class _WatchedPicker:
 
     def pick(self) -> PickResult:
         self._count_frame()
-        frame = self._env.frame  # of the decision; the next one is taken when the arm is back home
+        judged = self._judge()
+        exposure, sighting = self._env.exposure, self._env.sighting  # the next ones come when the arm is back home
         result = self._picker.pick()
         self._count_frame()
-        failed = result.outcome is not None and not result.success
-        self.pictures.append(self._album.failure(frame, result, len(self.pictures)) if failed else "")
+        self.pictures.append(self._album.decision(exposure, sighting, judged, result.grasp, len(self.pictures)))
         return result
+
+    def _judge(self) -> FrameRecord:
+        """Judge the frame that is to be decided on; each only once."""
+        start, env = time.perf_counter(), self._env
+        if not self.frames or self.frames[-1].frame_id != env.frame_id:
+            self.frames.append(judge_frame(env.frame_id, env.exposure, env.sighting))
+        self.judging += time.perf_counter() - start
+        return self.frames[-1]
 
     def _count_frame(self) -> None:
         if self._env.frame_id != self._frame_id:

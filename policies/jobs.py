@@ -46,6 +46,7 @@ class Job:
         pictures: Whether to keep pictures beside the records.
         video: mp4 file to film bin 0 into; that bin is then computed again.
         video_limit: Length of the film in simulated time [s].
+        rerun: rrd file to record bin 0 into; that bin is then computed again.
         fresh: Compute every bin, those that lie there already too.
     """
 
@@ -55,6 +56,7 @@ class Job:
     pictures: bool = True
     video: Path | None = None
     video_limit: float = 60.0
+    rerun: Path | None = None
     fresh: bool = False
 
     def __post_init__(self) -> None:
@@ -63,8 +65,10 @@ class Job:
 
     def extras(self, index: int) -> Extras:
         """Return what else is made of bin ``index``."""
-        video = self.video if index == 0 else None
-        return Extras(pictures=self.out if self.pictures else None, video=video, video_limit=self.video_limit)
+        pictures = self.out if self.pictures else None
+        if index != 0:
+            return Extras(pictures=pictures)
+        return Extras(pictures=pictures, video=self.video, video_limit=self.video_limit, rerun=self.rerun)
 
 
 def run_job(
@@ -93,8 +97,8 @@ def run_job(
     claim_folder(config, job.out)
     found: dict[int, BinRecord] = {}
     for index in range(job.bins):
-        to_film = job.video is not None and index == 0
-        record = None if to_film or job.fresh else stored_record(config, index, job.out)
+        to_show = index == 0 and (job.video is not None or job.rerun is not None)
+        record = None if to_show or job.fresh else stored_record(config, index, job.out)
         if record is not None:
             found[index] = record
     if found and on_found is not None:

@@ -1,6 +1,7 @@
 """What is kept of every bin: plain numbers and words, written as JSON, one file a bin."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,12 @@ import numpy as np
 
 from binpick_env.clutter import ClutterStats
 from perception.files import json_text, write_atomically
+from policies.blame import Blame, blame
 from policies.episode import BinResult, Termination
 from policies.outcomes import Abstention, GraspOutcome, PickResult
+from policies.sight import CandidateRecord, FrameRecord
 
-RECORD_VERSION = 2  # raise it when a field changes its meaning: older records are then computed anew
+RECORD_VERSION = 3  # raise it when a field changes its meaning: older records are then computed anew
 
 
 class RecordError(ValueError):
@@ -36,7 +39,9 @@ class PickRecord:
         opening: Distance between the pads during the approach [m]; None for an abstention.
         score: The grasp's rank; None for an abstention.
         features: Named scalars behind the score.
-        picture: File name of the picture at the time of failure, beside the record; "" if none was kept.
+        candidate: Row of the candidate in its frame's record; None for an abstention.
+        blame: What a failed attempt failed by; None for a delivery or an abstention, or if its frame was not judged.
+        picture: File name of the picture of the decision, beside the record; "" if none was kept.
     """
 
     outcome: GraspOutcome | None
@@ -51,12 +56,15 @@ class PickRecord:
     opening: float | None = None
     score: float | None = None
     features: dict[str, float] = field(default_factory=dict)
+    candidate: int | None = None
+    blame: Blame | None = None
     picture: str = ""
 
     @classmethod
-    def from_result(cls, result: PickResult, picture: str = "") -> "PickRecord":
-        """Keep the plain facts of ``result``."""
+    def from_result(cls, result: PickResult, picture: str = "", frame: FrameRecord | None = None) -> "PickRecord":
+        """Keep the plain facts of ``result``, judged by the record of the ``frame`` that it was decided on."""
         grasp = result.grasp
+        tried = None if frame is None or grasp is None else frame.candidates[grasp.candidate]
         return cls(
             outcome=result.outcome,
             abstention=result.abstention,
@@ -70,6 +78,8 @@ class PickRecord:
             opening=None if grasp is None else float(grasp.opening),
             score=None if grasp is None else float(grasp.score),
             features={} if grasp is None else {name: float(value) for name, value in grasp.features.items()},
+            candidate=None if grasp is None else grasp.candidate,
+            blame=None if tried is None or result.outcome is None else blame(result.outcome, tried),
             picture=picture,
         )
 
@@ -87,6 +97,7 @@ class BinRecord:
         termination: Why the bin ended.
         clutter: Visible fractions of the settled bin; its shares are NaN for an empty one.
         picks: Every decision in order.
+        frames: What perception made of each frame that was decided on, judged.
         wall: Wall clock of the bin after its set-up, pictures for people left out [s].
         settle: Part of ``wall`` in which the pile was dropped and seen first [s].
         render: Part of ``wall`` spent on rendering the camera's frames [s].
@@ -107,6 +118,7 @@ class BinRecord:
     wall: float
     settle: float
     render: float
+    frames: tuple[FrameRecord, ...] = ()
     git_commit: str = ""
     before: str = ""
     after: str = ""
@@ -117,10 +129,30 @@ class BinRecord:
         """The executed attempts."""
         return tuple(pick for pick in self.picks if pick.outcome is not None)
 
+    def frame(self, frame_id: int) -> FrameRecord | None:
+        """Return the record of a frame, None if it was not judged."""
+        return next((frame for frame in self.frames if frame.frame_id == frame_id), None)
+
+    def candidate(self, pick: PickRecord) -> CandidateRecord | None:
+        """Return what an attempt was made on, None for an abstention or if its frame was not judged."""
+        frame = self.frame(pick.frame_id)
+        return None if frame is None or pick.candidate is None else frame.candidates[pick.candidate]
+
     @classmethod
-    def from_result(cls, result: BinResult, pictures: list[str], **facts: Any) -> "BinRecord":
-        """Keep the plain facts of ``result``; ``pictures`` holds a file name, or "", for each pick."""
-        picks = tuple(PickRecord.from_result(p, name) for p, name in zip(result.picks, pictures, strict=True))
+    def from_result(
+        cls, result: BinResult, pictures: list[str], frames: Sequence[FrameRecord] = (), **facts: Any
+    ) -> "BinRecord":
+        """Keep the plain facts of ``result``.
+
+        Args:
+            result: Of the bin.
+            pictures: A file name, or "", for each pick.
+            frames: That were decided on, judged.
+            facts: The other fields.
+        """
+        seen = {frame.frame_id: frame for frame in frames}
+        named = zip(result.picks, pictures, strict=True)
+        picks = tuple(PickRecord.from_result(pick, name, seen.get(pick.frame_id)) for pick, name in named)
         return cls(
             seed=result.seed,
             parts_total=result.parts_total,
@@ -128,6 +160,7 @@ class BinRecord:
             termination=result.termination,
             clutter=result.clutter,
             picks=picks,
+            frames=tuple(frames),
             lost=result.lost,
             **facts,
         )
@@ -141,7 +174,8 @@ def record_path(folder: Path, index: int) -> Path:
 def save_record(record: BinRecord, folder: Path) -> Path:
     """Write ``record`` in one piece, or not at all."""
     path = record_path(folder, record.index)
-    write_atomically(path, json_text({"version": RECORD_VERSION, **asdict(record)}))
+    values = json.loads(json_text({"version": RECORD_VERSION, **asdict(record)}))
+    write_atomically(path, json.dumps(values, separators=(",", ":")))  # a line for every number would be half spaces
     return path
 
 
@@ -162,6 +196,7 @@ def load_record(path: Path) -> BinRecord:
         }
         values["clutter"] = ClutterStats(**clutter)
         values["picks"] = tuple(_pick(pick) for pick in values["picks"])
+        values["frames"] = tuple(FrameRecord.from_plain(frame) for frame in values["frames"])
         return BinRecord(**values)
     except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise RecordError(f"{path} holds no whole record ({error})") from error
@@ -171,7 +206,6 @@ def _pick(values: dict[str, Any]) -> PickRecord:
     unknown = set(values) - {f.name for f in fields(PickRecord)}
     if unknown:
         raise RecordError(f"a pick has no field {', '.join(sorted(unknown))}")
-    outcome, abstention = values["outcome"], values["abstention"]
-    values["outcome"] = None if outcome is None else GraspOutcome(outcome)
-    values["abstention"] = None if abstention is None else Abstention(abstention)
+    for name, kind in (("outcome", GraspOutcome), ("abstention", Abstention), ("blame", Blame)):
+        values[name] = None if values[name] is None else kind(values[name])
     return PickRecord(**values)

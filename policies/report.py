@@ -1,4 +1,4 @@
-"""``report.html``: one self-contained page with the numbers, every bin, every attempt and the failures in pictures."""
+"""``report.html``: a page with the numbers, every bin and every pick, which shows the pictures that lie beside it."""
 
 from collections.abc import Sequence
 from html import escape
@@ -7,15 +7,16 @@ from pathlib import Path
 from binpick_env.report_style import bars, figure, page, table, tag, tile
 from binpick_env.text_tables import number, percent, spread
 from perception.files import write_atomically
+from policies.gallery import colour, gallery, linked_bars, relative_folder, strip, title
 from policies.outcomes import GraspOutcome
 from policies.records import BinRecord, PickRecord
-from policies.statistics import Rate
+from policies.statistics import Interval, Rate
 from policies.summary import Summary
 
-GALLERY_LIMIT = 60  # failures that are shown; a page of hundreds of pictures helps nobody
 COLUMNS = (
     "#",
     "result",
+    "blame",
     "part",
     "width [mm]",
     "opening [mm]",
@@ -45,8 +46,9 @@ def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pic
         f"perception {config['perception']} · sensor {config['sensor']} · frames by {summary.camera_backend} · "
         f"seed {summary.seed}</p>",
         _headline(summary),
+        _sight(summary),
         _causes(summary),
-        _gallery(records, pictures),
+        gallery(records, relative_folder(pictures, path)),
         "<h2>Bins</h2>" + "".join(_bin(record, pictures) for record in records),
         _provenance(summary),
     ]
@@ -72,11 +74,37 @@ def _rate_tile(name: str, rate: Rate, of: str) -> str:
     return tile(name, percent(rate.value), f"{rate.successes} of {rate.n} {of} · 95 %: {interval}", bounds)
 
 
-def _causes(summary: Summary) -> str:
-    outcomes = [
-        (n.replace("_", " "), c, "good" if n == GraspOutcome.DELIVERED else "bad") for n, c in summary.outcomes.items()
+def _sight(summary: Summary) -> str:
+    """Return what perception did on the same frames."""
+
+    def interval_tile(name: str, key: str, note: str) -> str:
+        value, interval = getattr(summary, key), summary.intervals[key]
+        bounds = None if value is None or interval is None else (*interval, value)
+        return tile(name, percent(value), f"{note}{_spread(interval)}", bounds)
+
+    ap = f"AP50 {number(summary.ap50, 3)}, AP75 {number(summary.ap75, 3)}"
+    error = f"median {number(summary.pose_error['mm'], 1)} mm, {number(summary.pose_error['deg'], 1)}°"
+    tiles = [
+        interval_tile("AP · segmentation", "ap", ap),
+        interval_tile(
+            "recognition · poses right", "candidate_pose_accuracy", f"of {summary.candidates} candidates · {error}"
+        ),
+        interval_tile("precision · of candidates", "candidate_precision", "each part once"),
+        interval_tile("recall · parts half visible", "candidate_recall", f"of {summary.parts_to_find}, frame by frame"),
     ]
-    reasons = [(name.replace("_", " "), count, "idle") for name, count in summary.abstentions.items()]
+    stages = ", ".join(f"{name} {ms:.0f}" for name, ms in summary.perception_ms.items())
+    note = f"{summary.frames} frames that were decided on" + (f"; a frame's medians [ms]: {stages}" if stages else "")
+    return f"<h2>What perception saw in them</h2><p>{note}.</p><div class='grid tiles'>{''.join(tiles)}</div>"
+
+
+def _spread(interval: Interval | None) -> str:
+    return "" if interval is None else f" · 95 %: {100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
+
+
+def _causes(summary: Summary) -> str:
+    outcomes = [(n, c, "good" if n == GraspOutcome.DELIVERED else "bad") for n, c in summary.outcomes.items()]
+    blames = [(f"blame-{name}", count, "bad") for name, count in summary.blame.items()]
+    reasons = [(name, count, "idle") for name, count in summary.abstentions.items()]
     ends = [(name, count, "good" if name == "empty" else "idle") for name, count in summary.termination.items()]
     remaining = summary.parts_total - summary.delivered - summary.lost
     c = summary.clutter
@@ -85,30 +113,16 @@ def _causes(summary: Summary) -> str:
         f"parts under 0.5 visible, {percent(c['above_nine_tenths'])} over 0.9."
     )
     fate = f"{summary.delivered} delivered, {summary.lost} lost (out of play undelivered), {remaining} left in the bin."
-    left = f"<div class='card'><h3>Attempts by outcome</h3>{bars(outcomes, summary.attempts)}</div>"
+    left = (
+        f"<div class='card'><h3>Attempts by outcome</h3>{linked_bars(outcomes, summary.attempts)}"
+        f"<h3>Failed attempts by the stage to blame</h3>{linked_bars(blames, summary.failures)}</div>"
+    )
     right = (
-        f"<div class='card'><h3>Abstentions by reason</h3>{bars(reasons, sum(summary.abstentions.values()))}"
+        f"<div class='card'><h3>Abstentions by reason</h3>{linked_bars(reasons, sum(summary.abstentions.values()))}"
         f"<h3>Bins by their end</h3>{bars(ends, summary.bins)}<h3>Parts</h3><p>{fate}</p>"
         f"<h3>Clutter</h3><p>{clutter}</p></div>"
     )
     return f"<h2>Where it is won and lost</h2><div class='grid two'>{left}{right}</div>"
-
-
-def _gallery(records: Sequence[BinRecord], pictures: Path) -> str:
-    failures = [(r, k, p) for r in records for k, p in enumerate(r.picks) if p.outcome is not None and not _good(p)]
-    if not failures:
-        return "<h2>Failures</h2><p>None.</p>"
-    shown = [
-        figure(pictures / pick.picture, f"{tag(_word(pick), 'bad')} bin {record.index}, decision {k}, part {pick.part}")
-        for record, k, pick in failures[:GALLERY_LIMIT]
-        if pick.picture
-    ]
-    note = (
-        "The frame that each failed attempt was decided on: fingertips open (thin) and closed (thick) in orange, "
-        "the last 5 cm of the approach in green."
-    )
-    more = f" {len(shown)} of {len(failures)} failures." if len(shown) < len(failures) else ""
-    return f"<h2>Failures</h2><p>{note}{more}</p><div class='grid gallery'>{''.join(shown)}</div>"
 
 
 def _bin(record: BinRecord, pictures: Path) -> str:
@@ -121,11 +135,10 @@ def _bin(record: BinRecord, pictures: Path) -> str:
     if record.before or record.after:
         pair = [figure(pictures / record.before, "settled"), figure(pictures / record.after, "at the end")]
         views = f"<div class='grid two'>{''.join(pair)}</div>"
-    strip = "".join(f"<i class='{_kind(p)}' title='{k}: {escape(_word(p))}'></i>" for k, p in enumerate(record.picks))
     rows = [_row(k, pick) for k, pick in enumerate(record.picks)]
-    attempts = f"<details><summary>{len(rows)} decisions</summary>{table(COLUMNS, rows, words=(1,))}</details>"
-    title = f"<h3>Bin {record.index} <span>{facts}</span></h3>"
-    return f"<div class='card bin'>{title}{views}<div class='strip'>{strip}</div>{attempts}</div>"
+    attempts = f"<details><summary>{len(rows)} decisions</summary>{table(COLUMNS, rows, words=(1, 2))}</details>"
+    head = f"<h3>Bin {record.index} <span>{facts}</span></h3>"
+    return f"<div class='card bin'>{head}{views}{strip(record)}{attempts}</div>"
 
 
 def _row(k: int, pick: PickRecord) -> list[str]:
@@ -137,19 +150,7 @@ def _row(k: int, pick: PickRecord) -> list[str]:
     score = f"<span title='{escape(features)}'>{number(pick.score, 2)}</span>"
     part = "–" if pick.part < 0 else str(pick.part)
     grasp = [part, mm(pick.width), mm(pick.opening), score]
-    return [str(k), tag(_word(pick), _kind(pick)), *grasp, *times, str(pick.frame_id)]
-
-
-def _good(pick: PickRecord) -> bool:
-    return pick.outcome is GraspOutcome.DELIVERED
-
-
-def _kind(pick: PickRecord) -> str:
-    return "idle" if pick.outcome is None else "good" if _good(pick) else "bad"
-
-
-def _word(pick: PickRecord) -> str:
-    return str(pick.outcome or pick.abstention).replace("_", " ")
+    return [str(k), tag(title(pick), colour(pick)), str(pick.blame or "–"), *grasp, *times, str(pick.frame_id)]
 
 
 def _provenance(summary: Summary) -> str:

@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from perception.geometry import Floats, require_shape
+from perception.metrics.average_precision import percentile_interval
 from perception.metrics.intervals import wilson_interval
 
 RESAMPLES = 2000
+Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,11 +89,56 @@ def paired_difference(
     return float(differences.mean()), *bootstrap_mean(differences, rng, resamples)
 
 
-def _columns(first: ArrayLike, second: ArrayLike) -> Floats:
+def paired_ratio_difference(
+    first: ArrayLike, second: ArrayLike, rng: np.random.Generator, resamples: int = RESAMPLES
+) -> tuple[float, float, float]:
+    """Return the difference of two pooled ratios, first - second, and its 95 % percentile bootstrap interval.
+
+    Unlike the mean of the pairs' differences it is the difference of the two rates as they are printed, and a bin in
+    which one of the two tried nothing has its say.
+
+    Args:
+        first: (N, 2) numerator and denominator of each bin, one way ...
+        second: ... and (N, 2) of the same bins the other way; they are drawn together.
+        rng: The resampling's chance.
+        resamples: Number of bootstrap samples; those without a denominator on either side are left out.
+
+    Returns:
+        Difference, low and high; NaN where a denominator is 0 in all, or a single bin leaves no interval.
+
+    Raises:
+        ValueError: There is nothing to resample, the lengths differ or a denominator is negative.
+    """
+    both = np.stack([np.asarray(each, np.float64).reshape(-1, 2) for each in _alike(first, second)])
+    if np.any(both[:, :, 1] < 0):
+        raise ValueError(f"denominators must not be negative, got {both[:, :, 1].min()}")
+    count = both.shape[1]
+    value = float(_ratio_gaps(both, np.ones((1, count)))[0])
+    if count < 2:
+        return value, np.nan, np.nan
+    weights = rng.multinomial(count, np.full(count, 1.0 / count), size=resamples).astype(np.float64)
+    return value, *percentile_interval(_ratio_gaps(both, weights))
+
+
+def _ratio_gaps(both: Floats, weights: Floats) -> Floats:
+    """Return the (R,) differences of the ratios of (2, N, 2) pairs that count (R, N) ``weights`` times."""
+    sums = weights @ both  # (2, R, 2)
+    above, below = sums[:, :, 0], sums[:, :, 1]
+    ratios = np.divide(above, below, out=np.full(above.shape, np.nan), where=below > 0)
+    gaps: Floats = ratios[0] - ratios[1]
+    return gaps
+
+
+def _alike(first: ArrayLike, second: ArrayLike) -> tuple[Floats, Floats]:
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    require_shape("first", a, (None,))
     if a.shape != b.shape:
         raise ValueError(f"both samples must have one length, got {a.shape} and {b.shape}")
     if len(a) == 0:
         raise ValueError("there is nothing to resample: the samples are empty")
+    return a, b
+
+
+def _columns(first: ArrayLike, second: ArrayLike) -> Floats:
+    a, b = _alike(first, second)
+    require_shape("first", a, (None,))
     return np.column_stack([a, b])

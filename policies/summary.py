@@ -11,13 +11,13 @@ import numpy as np
 from binpick_env.clutter import pooled_clutter
 from perception.files import json_text, write_atomically
 from perception.provenance import command_line, versions
+from policies.blame import Blame
 from policies.episode import Termination
 from policies.evaluation import EvaluationConfig
 from policies.outcomes import Abstention, GraspOutcome
 from policies.records import BinRecord
-from policies.statistics import Rate, bootstrap_ratio, rate
-
-Interval = tuple[float, float]
+from policies.sight_summary import over_bins, summarise_sight
+from policies.statistics import Interval, Rate, bootstrap_ratio, rate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,12 +40,24 @@ class Summary:
         time: Means over attempts [s]: sense (nominal), compute (wall clock, one core), motion (simulated).
         wall: Wall clock [s], pictures for people left out: an attempt's mean without the drop, a bin's mean with
             it, and the share of it that went into rendering frames.
-        ap: Segmentation AP; None where nothing is segmented (oracle). Likewise ap50 and ap75.
-        candidate_pose_accuracy: Share of candidates whose pose is right; None for the oracle.
+        ap: ScanNet's AP of the groups that poses were searched in, over all frames that were decided on; None where
+            nothing is segmented (oracle). Likewise ap50 and ap75.
+        explained: The three after the poses have explained the points.
+        candidate_pose_accuracy: Share of offered candidates whose pose is right for the part that most of their points
+            are of: within a tenth of d_max and 5 deg.
+        candidate_precision: Share that is right for some part, and the best-scored of that part.
+        candidate_recall: Share of the parts visible to a half or more, frame by frame, that a right one was offered of.
+        candidates: Number that was offered, in all frames. parts_to_find: what the recall is of.
+        parts_to_find: See there.
+        pose_error: Medians over the candidates, right or wrong: "mm" at the part's centre, "deg" modulo symmetry.
+        blame: Failed attempts by the stage that they failed by.
+        frames: That were decided on.
+        perception_ms: Median wall clock of perception's stages by frame [ms].
         clutter: median (mean of the bins' medians), below_half and above_nine_tenths (shares of all parts), parts.
         camera_backend: What rendered the frames.
         intervals: Of gsr and dr (Wilson), of mpph and motion_dph (percentile bootstrap over attempts), of gsr_bins and
-            dr_bins (the same rates, percentile bootstrap over whole bins; None for a single bin).
+            dr_bins (the same rates, percentile bootstrap over whole bins; None for a single bin), and over bins
+            likewise of ap, ap50, ap75 and the three rates of candidates, these never narrower than Wilson's.
         bins: Number of bins.
         seed: Of the evaluation.
         config: All settings.
@@ -71,7 +83,16 @@ class Summary:
     ap: float | None = None
     ap50: float | None = None
     ap75: float | None = None
+    explained: dict[str, float | None]
     candidate_pose_accuracy: float | None = None
+    candidate_precision: float | None
+    candidate_recall: float | None
+    candidates: int
+    parts_to_find: int
+    pose_error: dict[str, float | None]
+    blame: dict[str, int]
+    frames: int
+    perception_ms: dict[str, float]
     clutter: dict[str, float | None]
     camera_backend: str
     intervals: dict[str, Interval | None]
@@ -91,6 +112,11 @@ class Summary:
     def dr_rate(self) -> Rate:
         """DR with its interval."""
         return rate(self.delivered, self.parts_total)
+
+    @property
+    def failures(self) -> int:
+        """Attempts that did not deliver exactly one part."""
+        return self.attempts - self.successes
 
 
 def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.random.Generator) -> Summary:
@@ -118,6 +144,9 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
     bins = [(sum(a.outcome is GraspOutcome.DELIVERED for a in r.attempts), len(r.attempts)) for r in records]
     mpph, mpph_interval = _per_hour(gains, times.sum(axis=1), rng)
     motion_dph, motion_interval = _per_hour(gains, times[:, 2], rng)
+    gsr_bins = over_bins(bins, rng)
+    dr_bins = over_bins([(record.delivered, record.parts_total) for record in records], rng)
+    sight = summarise_sight(records, rng)
     return Summary(
         gsr=gsr.value,
         dr=dr.value,
@@ -133,6 +162,19 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
         outcomes=_count(GraspOutcome, [pick.outcome for pick in attempts]),
         time={name: _mean(times[:, k]) for k, name in enumerate(("sense", "compute", "motion"))},
         wall=_wall(records, len(attempts)),
+        ap=sight.ap["ap"],
+        ap50=sight.ap["ap50"],
+        ap75=sight.ap["ap75"],
+        candidate_pose_accuracy=sight.rates["candidate_pose_accuracy"],
+        candidate_precision=sight.rates["candidate_precision"],
+        candidate_recall=sight.rates["candidate_recall"],
+        explained=sight.explained,
+        candidates=sight.counts["candidate_pose_accuracy"][1],
+        parts_to_find=sight.counts["candidate_recall"][1],
+        pose_error=sight.errors,
+        blame=_count(Blame, [pick.blame for pick in attempts if pick.blame is not None]),
+        frames=sight.frames,
+        perception_ms=sight.stages,
         clutter=pooled_clutter([record.clutter for record in records]),
         camera_backend=config.camera.backend,
         intervals={
@@ -140,8 +182,9 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
             "dr": (dr.low, dr.high),
             "mpph": mpph_interval,
             "motion_dph": motion_interval,
-            "gsr_bins": _over_bins(bins, rng),
-            "dr_bins": _over_bins([(record.delivered, record.parts_total) for record in records], rng),
+            "gsr_bins": gsr_bins,
+            "dr_bins": dr_bins,
+            **sight.intervals,
         },
         bins=len(records),
         seed=config.seed,
@@ -170,12 +213,6 @@ def _per_hour(gains: Any, seconds: Any, rng: np.random.Generator) -> tuple[float
     if len(gains) == 0 or seconds.min() <= 0:
         return None, None
     return float(3600 * gains.sum() / seconds.sum()), bootstrap_ratio(3600 * gains, seconds, rng)
-
-
-def _over_bins(counts: Sequence[tuple[int, int]], rng: np.random.Generator) -> Interval | None:
-    """Resample whole bins of (successes, trials): trials within a bin are not independent."""
-    tried = np.array([pair for pair in counts if pair[1] > 0], dtype=np.float64).reshape(-1, 2)
-    return bootstrap_ratio(tried[:, 0], tried[:, 1], rng) if len(tried) > 1 else None
 
 
 def _wall(records: Sequence[BinRecord], attempts: int) -> dict[str, float | None]:

@@ -8,7 +8,8 @@ import numpy as np
 from binpick_env.parts import Part
 from binpick_env.text_tables import WIDTH, number, percent, spread
 from policies.records import BinRecord
-from policies.summary import Interval, Summary
+from policies.statistics import Interval
+from policies.summary import Summary
 
 _BAR = 24
 
@@ -18,8 +19,19 @@ def result_table(summary: Summary) -> str:
     config = summary.config
     facts = (config["part"], config["perception"], f"sensor {config['sensor']}", f"{summary.bins} bins")
     title = " · ".join([*facts, f"seed {summary.seed}"])
-    lines = [title, "═" * WIDTH, *_headline(summary), *_over_bins(summary), "─" * WIDTH, *_times(summary), "─" * WIDTH]
+    lines = [
+        title,
+        "═" * WIDTH,
+        *_side_by_side(summary),
+        "─" * WIDTH,
+        *_headline(summary),
+        *_over_bins(summary),
+        "─" * WIDTH,
+        *_sight(summary),
+    ]
+    lines += ["─" * WIDTH, *_times(summary), "─" * WIDTH]
     lines += _counts("attempts by outcome", summary.outcomes, summary.attempts)
+    lines += _counts("failed attempts by blame", summary.blame, summary.failures)
     lines += _counts("abstentions by reason", summary.abstentions, sum(summary.abstentions.values()))
     lines += _counts("bins by their end", summary.termination, summary.bins)
     lines += ["─" * WIDTH, *_parts(summary), *_clutter(summary)]
@@ -44,6 +56,39 @@ def part_note(part: Part) -> str:
     symmetry = "solid of revolution" if np.isinf(order) else f"symmetry order {order:.0f}"
     size = f"d_max {1000 * part.model.d_max:.0f} mm"
     return f"{Path(part.source).name}: read as {part.unit}, {size}, {symmetry}, {part.density:g} kg/m^3"
+
+
+def _side_by_side(summary: Summary) -> list[str]:
+    """Show what the same bins say of segmentation, poses and picking in three columns."""
+    gsr = summary.gsr_rate
+    columns = [
+        ("segmentation AP", "recognition", "picking success"),
+        (percent(summary.ap), percent(summary.candidate_pose_accuracy), percent(summary.gsr)),
+        (
+            f"AP50 {percent(summary.ap50)}, AP75 {percent(summary.ap75)}",
+            f"poses right of {summary.candidates}",
+            f"GSR of {summary.attempts} attempts",
+        ),
+        (
+            _interval(summary.intervals["ap"]),
+            _interval(summary.intervals["candidate_pose_accuracy"]),
+            _interval((gsr.low, gsr.high)),
+        ),
+    ]
+    return [f"{a:<34}{b:<24}{c:<20}".rstrip() for a, b, c in columns]
+
+
+def _sight(summary: Summary) -> list[str]:
+    error = summary.pose_error
+    lines = [
+        f"candidates    precision {percent(summary.candidate_precision)}, recall {percent(summary.candidate_recall)} "
+        f"of {summary.parts_to_find} parts half visible, in {summary.frames} frames",
+        f"poses off by  {number(error['mm'], 2)} mm, {number(error['deg'], 2)} deg (medians)",
+    ]
+    if summary.perception_ms:
+        stages = ", ".join(f"{name} {ms:.0f}" for name, ms in summary.perception_ms.items())
+        lines.append(f"a frame       {sum(summary.perception_ms.values()):.0f} ms: {stages} (medians)")
+    return lines
 
 
 def _headline(summary: Summary) -> list[str]:
@@ -81,11 +126,12 @@ def _counts(title: str, counts: dict[str, int], total: int) -> list[str]:
 
 
 def _over_bins(summary: Summary) -> list[str]:
-    def text(interval: Interval | None) -> str:
-        return "–" if interval is None else f"{100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
-
-    gsr, dr = (text(summary.intervals[key]) for key in ("gsr_bins", "dr_bins"))
+    gsr, dr = (_interval(summary.intervals[key]) for key in ("gsr_bins", "dr_bins"))
     return [f"over bins     95 % intervals from resampling whole bins: GSR {gsr}, DR {dr}"]
+
+
+def _interval(interval: Interval | None) -> str:
+    return "–" if interval is None else f"{100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
 
 
 def _parts(summary: Summary) -> list[str]:

@@ -5,7 +5,7 @@ import time
 from contextlib import AbstractContextManager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +17,33 @@ EVERY = 4  # steps from picture to picture: 0.16 s
 SPEED = 2.0  # of the film against simulated time
 
 
-class WatchedEnv(BinPickEnv):
-    """The cell with a camera team: after each step it lets ``film`` take its picture."""
+class Watcher(Protocol):
+    """Looks at a cell after each step and changes nothing."""
 
-    film: "Film | None" = None
+    def after_step(self, env: BinPickEnv) -> None:
+        """Look at ``env``, which has just made a step."""
+        ...
+
+
+class WatchedEnv(BinPickEnv):
+    """The cell with a camera team: after each step all who watch it may look."""
+
+    watchers: tuple[Watcher, ...] = ()
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance as :meth:`BinPickEnv.step` does."""
         result = super().step(action)
-        if self.film is not None:
-            self.film.after_step(self)
+        for watcher in self.watchers:
+            watcher.after_step(self)
         return result
+
+    def watch(self, watcher: Watcher) -> None:
+        """Let ``watcher`` look after each step from now on."""
+        self.watchers = (*self.watchers, watcher)
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Let ``watcher`` look no more."""
+        self.watchers = tuple(each for each in self.watchers if each is not watcher)
 
 
 class Film(AbstractContextManager["Film"]):
@@ -62,7 +78,7 @@ class Film(AbstractContextManager["Film"]):
         if path is not None:
             if not isinstance(env, WatchedEnv):
                 raise ValueError(f"only a WatchedEnv can be filmed, got {type(env).__name__}")
-            env.film = film
+            env.watch(film)
             film._env = env
         return film
 
@@ -95,7 +111,7 @@ class Film(AbstractContextManager["Film"]):
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         if self._env is not None:
-            self._env.film = None  # the next bin is not filmed
+            self._env.unwatch(self)  # the next bin is not filmed
         if self._writer is None or self._path is None:
             return
         self._writer.close()

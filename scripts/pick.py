@@ -15,13 +15,14 @@ from binpick_env.config import Backend, CameraConfig, SensorPreset
 from binpick_env.parts import Unit
 from binpick_env.perceiver import Perception, PoseNoise
 from perception.provenance import git_commit
+from policies.budget import budget_jobs
+from policies.conclusion import conclude, conclude_budget
 from policies.evaluation import BinError, EvaluationConfig
 from policies.jobs import Job, run_job
 from policies.outcomes import PickResult
+from policies.recording import check_recording
 from policies.records import BinRecord
-from policies.report import write_report
-from policies.summary import save_summary, summarise
-from policies.tables import found_note, part_note, result_table
+from policies.tables import found_note, part_note
 from policies.video import check_video
 
 
@@ -38,7 +39,8 @@ class Arguments:
     density: float | None = None  # [kg/m^3]; the catalogue's, or 2700 (aluminium) for a file, unless given
     bins: int = 10  # how many bins
     seed: int = 0  # bin i's own seed follows from this and i alone
-    perception: Perception = "oracle"  # oracle: true poses of the parts that are visible enough
+    perception: Perception = "learned"  # from pixels; gt_masks: true segments; oracle: true poses of visible parts
+    budget: bool = False  # pick the same bins with all three, whatever --perception says, and compare
     sensor: SensorPreset = "good"  # the depth camera's noise
     workers: int = 1  # processes; each computes on one core
     min_parts: int = 20  # smallest fill of a bin
@@ -49,11 +51,12 @@ class Arguments:
     noise_mm: float = 0.0  # the oracle's position error, standard deviation per axis [mm]
     noise_deg: float = 0.0  # the oracle's rotation error, standard deviation [deg]
     fresh: bool = False  # compute every bin again, those that are there already too
-    out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED unless given
-    json: Path | None = None  # where to write the numbers; results.json in the folder unless given
-    html: bool = True  # write report.html into the folder, with pictures
+    out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-) unless given
+    json: Path | None = None  # where to write the numbers; results.json (or budget.json) in the folder unless given
+    html: bool = True  # write report.html into the folder, with a picture of every pick (or budget.html)
     video: Path | None = None  # film the first bin into this .mp4 (slow without a GL driver; MUJOCO_GL names one)
     video_limit: float = 60.0  # length of the film in simulated time [s]
+    rerun: Path | None = None  # record the first bin into this .rrd for Rerun's viewer, with all that the robot sees
 
     def config(self) -> EvaluationConfig:
         """Return what the numbers depend on."""
@@ -72,43 +75,44 @@ class Arguments:
 
     def job(self) -> Job:
         """Return how it is done."""
-        out = self.out or Path("runs") / f"pick-{Path(self.part).stem}-{self.perception}-{self.seed}"
+        kind = "budget" if self.budget else self.perception
+        out = self.out or Path("runs") / f"pick-{Path(self.part).stem}-{kind}-{self.seed}"
         job = Job(out=out, bins=self.bins, workers=self.workers, pictures=self.html, fresh=self.fresh)
-        return replace(job, video=self.video, video_limit=self.video_limit)
+        return replace(job, video=self.video, video_limit=self.video_limit, rerun=self.rerun)
 
 
 def main(args: Arguments) -> int:
     """Run the job; return the exit code."""
     try:
         config, job = args.config(), args.job()
+        if args.budget and args.rerun is not None:
+            raise ValueError("a budget records none; leave out --rerun, or record one without --budget")
         if args.video is not None:
             check_video(args.video)
-        part = config.check()
-        if Path(part.source).suffix:  # a file, not a name of the catalogue
-            print(part_note(part))
-        records = _run(config, job)
+        if args.rerun is not None:
+            check_recording(args.rerun)
+        runs = budget_jobs(config, job) if args.budget else {args.perception: (config, job)}
+        parts = [each.check() for each, _ in runs.values()]
+        if Path(parts[0].source).suffix:  # a file, not a name of the catalogue
+            print(part_note(parts[0]))
+        records = {mode: _run(*run) for mode, run in runs.items()}
     except KeyboardInterrupt:
         kept = f"finished bins are kept in {args.job().out}"
         print(f"\nstopped; {kept}: the same command goes on from there", file=sys.stderr)
         return 130
-    except (BinError, ValueError, OSError, ModuleNotFoundError, NotImplementedError) as error:
+    except (BinError, ValueError, OSError, ModuleNotFoundError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    summary = summarise(records, config, np.random.default_rng(args.seed))
-    results = args.json or job.out / "results.json"
-    save_summary(results, summary)
-    if args.html:
-        write_report(job.out / "report.html", summary, records, job.out)
-    print(result_table(summary))  # last: a closed pipe must not cost the files
-    print(f"numbers   {results}")
-    if args.html:
-        print(f"report    {job.out / 'report.html'}")
+    if args.budget:
+        print(conclude_budget(records, runs, job, args.json))
+    else:
+        print(conclude(records[args.perception], config, job, args.json))
     return 0
 
 
 def _run(config: EvaluationConfig, job: Job) -> list[BinRecord]:
     tally = {"attempts": 0, "delivered": 0}
-    with tqdm(total=job.bins, desc=config.part, unit="bin", smoothing=0) as bar:
+    with tqdm(total=job.bins, desc=f"{config.part} {config.perception}", unit="bin", smoothing=0) as bar:
 
         def on_pick(result: PickResult) -> None:
             tally["attempts"] += result.outcome is not None

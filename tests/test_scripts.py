@@ -24,6 +24,7 @@ from policies.evaluation import BinError
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
 TINY = ["--min-parts", "2", "--max-parts", "2", "--width", "640", "--height", "480", "--sensor", "none"]
+TINY += ["--perception", "oracle"]
 
 
 def run(script: str, *arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
@@ -51,7 +52,7 @@ def test_help_is_short_and_to_the_point(script: Path) -> None:
 
 def test_help_names_every_argument_of_the_contract() -> None:
     text = run("pick.py", "--help").stdout
-    for name in ("part", "bins", "seed", "perception", "sensor", "workers", "out", "json", "video", "html"):
+    for name in ("part", "bins", "seed", "perception", "sensor", "workers", "out", "json", "video", "html", "budget"):
         assert f"--{name}" in text
 
 
@@ -61,8 +62,8 @@ def test_help_names_every_argument_of_the_contract() -> None:
         (["--part", "teapot"], "part must be one of part_a, part_b, part_c, tee, bracket"),
         (["--part", "nowhere.stl"], "nowhere.stl"),
         (["--bins", "0"], "bins and workers must be at least 1, got 0 and 1"),
-        (["--perception", "learned"], "perception='learned' needs"),
         (["--video", "film.avi"], "must end in .mp4"),
+        (["--budget", "--video", "film.mp4"], "a budget is three evaluations and films none"),
         (["--min-parts", "5", "--max-parts", "4"], "num_parts must be a rising pair"),
     ],
 )
@@ -87,7 +88,7 @@ def test_ctrl_c_says_how_to_go_on(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pick, "run_job", interrupted)
-    assert pick.main(pick.Arguments(out=tmp_path)) == 130
+    assert pick.main(pick.Arguments(perception="oracle", out=tmp_path)) == 130
     assert f"finished bins are kept in {tmp_path}: the same command goes on from there" in capsys.readouterr().err
 
 
@@ -111,7 +112,7 @@ def test_a_bin_that_fails_is_one_line_and_exit_code_2(
         raise fault
 
     monkeypatch.setattr(pick, "run_job", fail)
-    assert pick.main(pick.Arguments(out=tmp_path)) == 2
+    assert pick.main(pick.Arguments(perception="oracle", out=tmp_path)) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
     assert message in line
 
@@ -134,12 +135,14 @@ def test_a_pile_that_does_not_settle_is_one_line_in_every_script(
 @pytest.mark.slow
 def test_pick_runs_resumes_and_refuses_another_configuration(tmp_path: Path) -> None:
     out, film = tmp_path / "run", tmp_path / "film.mp4"
-    common = [*TINY, "--out", str(out)]
+    common = [*TINY, "--perception", "learned", "--out", str(out)]
     done = run("pick.py", "--bins", "1", "--video", str(film), "--video-limit", "1", *common, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "GSR" in done.stdout
     assert film.stat().st_size > 1000
-    assert "<img" in (out / "report.html").read_text()
+    assert "src='./bin_0000_pick_00.webp'" in (out / "report.html").read_text()
+    assert (out / "bin_0000_pick_00.webp").stat().st_size < 40_000
+    assert json.loads((out / "results.json").read_text())["ap"] > 0.5  # from pixels, of two parts
     made = (out / "bin_0000.json").stat().st_mtime_ns
     done = run("pick.py", "--bins", "2", "--workers", "2", "--json", str(tmp_path / "n.json"), *common, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -163,7 +166,7 @@ def test_a_file_is_said_as_it_was_read(
         raise BinError("far enough")
 
     monkeypatch.setattr(pick, "run_job", stop)
-    file = ["--part", str(tmp_path / "block.stl"), "--out", str(tmp_path / "out")]
+    file = ["--part", str(tmp_path / "block.stl"), "--out", str(tmp_path / "out"), "--perception", "oracle"]
     for arguments, said in (
         ([], "block.stl: read as mm, d_max 78 mm, symmetry order 4, 2700 kg/m^3"),
         (["--symmetry", "none", "--density", "1240"], "block.stl: read as mm, d_max 78 mm, symmetry order 1, 1240 kg/"),
@@ -172,6 +175,39 @@ def test_a_file_is_said_as_it_was_read(
         assert said in capsys.readouterr().out
     assert pick.main(pick.tyro.cli(pick.Arguments, args=[*file, "--unit", "inch"])) == 2
     assert "--unit" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_budget_picks_the_same_bins_three_ways(tmp_path: Path) -> None:
+    arguments = ["--budget", "--bins", "2", "--workers", "2", "--no-html", *TINY, "--out", str(tmp_path / "out")]
+    done = run("pick.py", *arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "segmentation (gt_masks - learned)" in done.stdout
+    numbers = json.loads((tmp_path / "out" / "budget.json").read_text())
+    assert set(numbers["costs"]) == {"pose", "segmentation", "both"}
+    for mode in ("oracle", "gt_masks", "learned"):
+        records = [json.loads((tmp_path / "out" / mode / f"bin_000{k}.json").read_text()) for k in range(2)]
+        assert [record["parts_total"] for record in records] == [2, 2]
+        assert (records[0]["frames"][0]["segments"] is None) == (mode == "oracle")
+        assert numbers["modes"][mode]["config"]["perception"] == mode
+    made = (tmp_path / "out" / "gt_masks" / "bin_0001.json").stat().st_mtime_ns
+    assert "2 of 2 bins were there already" in run("pick.py", *arguments, cwd=tmp_path).stdout
+    assert (tmp_path / "out" / "gt_masks" / "bin_0001.json").stat().st_mtime_ns == made
+
+
+def test_a_part_without_weights_gets_the_commands_that_make_them_and_the_other_modes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
+    pick = load("pick.py")
+    trimesh.creation.box((60, 40, 30)).export(tmp_path / "block.stl")
+    arguments = ["--part", str(tmp_path / "block.stl"), "--perception", "learned", "--out", str(tmp_path / "out")]
+    assert pick.main(pick.tyro.cli(pick.Arguments, args=arguments)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    for told in ("scripts/generate_scenes.py", "scripts/train_segmentation.py", "'gt_masks'", "'oracle'"):
+        assert told in line
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

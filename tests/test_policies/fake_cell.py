@@ -1,19 +1,30 @@
 """A cell without physics and a picker that follows a script, for the tests of what is built on top of them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import trimesh
 
+from binpick_env.candidates import PoseCandidate
 from binpick_env.clutter import ClutterStats
-from perception.frame import Frame
-from perception.geometry import camera_matrix, make_transform
+from binpick_env.perceiver import Exposure, make_candidate
+from binpick_env.sighting import Sighting
+from perception.boundary import BoundaryCloud
+from perception.frame import Frame, Workspace
+from perception.geometry import Floats, camera_matrix, invert_transform, make_transform
+from perception.part import PartModel
+from perception.pipeline import Perception
+from perception.segmentation.instance import Instance
 from policies.episode import BinResult, Termination
 from policies.evaluation import Cell, EvaluationConfig
 from policies.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
 
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
+# Off the origin, so that a pose's position is not its centre's; three different sides: symmetric under half turns.
+BLOCK = PartModel.from_mesh("block", trimesh.creation.box((0.05, 0.03, 0.02), make_transform(translation=(0.1, 0, 0))))
+WORKSPACE = Workspace(T_world_bin=make_transform(translation=(0.5, 0.0, 0.0)), inner_size=np.array([0.36, 0.26, 0.12]))
 
 
 def frame(width: int = 320, height: int = 240) -> Frame:
@@ -24,6 +35,49 @@ def frame(width: int = 320, height: int = 240) -> Frame:
         K=camera_matrix(600.0, width, height),
         T_world_cam=make_transform(LOOKING_DOWN, (0.5, 0.0, 0.9)),
     )
+
+
+def exposure(fractions: Floats, part_ids: Any = -1) -> Exposure:
+    """A row of blocks along the world's x, the first with its centre at (0.5, 0, 0), 70 mm from centre to centre.
+
+    ``part_ids`` are those of the image's first row of pixels; there is no part in the others.
+    """
+    ids = np.full((240, 320), -1, np.int64)
+    ids[0] = part_ids
+    capture: Any = SimpleNamespace(frame=frame(), instance_ids=ids)
+    places = [make_transform(translation=(0.4 + 0.07 * k, 0.0, 0.0)) for k in range(len(fractions))]
+    return Exposure(
+        capture=capture,
+        workspace=WORKSPACE,
+        part=BLOCK,
+        T_world_parts=np.array(places).reshape(-1, 4, 4),
+        visible_fractions=np.asarray(fractions, np.float64),
+    )
+
+
+def candidate(view: Exposure, part: int, error: Floats | None = None, score: float = 0.9) -> PoseCandidate:
+    """The true pose of a part, moved by the (4, 4) ``error`` about the part's centre."""
+    about = make_transform(translation=BLOCK.centre)
+    T_world_part = view.T_world_parts[part] @ about @ (np.eye(4) if error is None else error) @ invert_transform(about)
+    return make_candidate(view, T_world_part, score=score, visible_fraction=1.0, fill=1.0, part=part)
+
+
+def sighting(
+    view: Exposure, groups: list[list[int]], candidates: list[PoseCandidate], of: list[int] | None = None
+) -> Sighting:
+    """What was seen in ``view`` from pixels: boundary points are all pixels of the image's first row.
+
+    ``groups`` are indices of points, best first; ``of`` is the group of each candidate, one after the other if None.
+    """
+    pixels = np.column_stack([np.arange(320), np.zeros(320, np.int64)])
+    boundary = BoundaryCloud(
+        points_cam=np.zeros((320, 3)), tangents_cam=np.zeros((320, 3)), linearity=np.zeros(320), pixels=pixels
+    )
+    segments = [Instance(point_idx=np.array(idx), score=0.9 - 0.1 * k) for k, idx in enumerate(groups)]
+    poses: Any = [SimpleNamespace(instance_idx=k) for k in of or range(len(candidates))]
+    ms = {"boundary": 20.0, "segmentation": 60.0}
+    seen = Perception(boundary=boundary, segments=segments, poses=poses, instances=segments[:1], ms=ms)
+    return Sighting(candidates=candidates, perception=seen)
 
 
 def grasp(width: float = 0.03, opening: float = 0.05) -> GraspCandidate:
@@ -80,8 +134,13 @@ class FakeEnv:
         return self.parts - self.delivered - self.lost
 
     @property
-    def exposure(self) -> Any:
-        return SimpleNamespace(visible_fractions=np.linspace(0.1, 1.0, self.parts))
+    def exposure(self) -> Exposure:
+        return exposure(np.linspace(0.1, 1.0, self.parts))
+
+    @property
+    def sighting(self) -> Sighting:
+        """The true pose of the last part."""
+        return Sighting(candidates=[candidate(self.exposure, self.parts - 1)])
 
     @property
     def simulation(self) -> Any:
@@ -116,6 +175,7 @@ class ScriptPicker:
 
     def pick(self) -> PickResult:
         result = self.script.pop(0)
+        result = replace(result, frame_id=self.env.frame_id)
         self.env.delivered += result.delivered
         self.env.frame_id += result.outcome is not None
         return result

@@ -12,6 +12,7 @@ from binpick_env.candidates import PoseCandidate
 from binpick_env.env import BinPickEnv
 from binpick_env.perceiver import Exposure, OraclePerceiver, Perceiver, PoseNoise, make_candidate
 from binpick_env.robot import HOME
+from binpick_env.sighting import Sighting
 from perception.geometry import Floats, make_transform, rotation_about
 from policies.outcomes import Abstention, GraspOutcome, PickResult
 from policies.scripted import T_SENSE, ScriptedPicker
@@ -91,7 +92,7 @@ class HandCell:
 
 
 def hand_cell(part: str, num_parts: int = 2, **options: Any) -> HandCell:
-    env = BinPickEnv(part, num_parts=(1, num_parts), **options)
+    env = BinPickEnv(part, num_parts=(1, num_parts), perception="oracle", **options)
     cell = HandCell(env, ScriptedPicker(env))
     env.step = cell._step  # type: ignore[method-assign,assignment]
     return cell
@@ -104,9 +105,10 @@ class Shifted:
     shift_world: tuple[float, float, float]
     parts: tuple[int, ...] | None = None
 
-    def perceive(self, view: Exposure, rng: np.random.Generator) -> list[PoseCandidate]:
-        seen = OraclePerceiver().perceive(view, rng)
-        return [self._moved(view, c) if self.parts is None or c.part in self.parts else c for c in seen]
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> Sighting:
+        seen = OraclePerceiver().perceive(view, rng).candidates
+        told = [self._moved(view, c) if self.parts is None or c.part in self.parts else c for c in seen]
+        return Sighting(candidates=told)
 
     def _moved(self, view: Exposure, candidate: PoseCandidate) -> PoseCandidate:
         T_world_part = make_transform(translation=self.shift_world) @ candidate.T_world_part
@@ -119,16 +121,16 @@ class Nameless:
 
     inner: Perceiver
 
-    def perceive(self, view: Exposure, rng: np.random.Generator) -> list[PoseCandidate]:
-        return [replace(c, part=-1) for c in self.inner.perceive(view, rng)]
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> Sighting:
+        return Sighting(candidates=[replace(c, part=-1) for c in self.inner.perceive(view, rng).candidates])
 
 
 @dataclass(frozen=True)
 class Blind:
     """Sees nothing."""
 
-    def perceive(self, view: Exposure, rng: np.random.Generator) -> list[PoseCandidate]:
-        return []
+    def perceive(self, view: Exposure, rng: np.random.Generator) -> Sighting:
+        return Sighting()
 
 
 def noisy(translation: float) -> OraclePerceiver:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+import trimesh
 from fake_cell import FakeEnv, ScriptPicker, abstain, attempt, broken_cell, dice_cell
 
 from binpick_env.config import CameraConfig
@@ -70,6 +71,35 @@ def test_a_record_keeps_the_facts_of_each_decision() -> None:
     assert record.config_hash == CONFIG.digest()
 
 
+def test_each_frame_is_judged_once_and_failures_are_blamed() -> None:
+    def make(config: EvaluationConfig) -> Cell:
+        env = FakeEnv(parts=2)
+        delivered = attempt(GraspOutcome.DELIVERED)
+        script = attempt(GraspOutcome.MISSED), abstain(Abstention.IK_INFEASIBLE), delivered, delivered
+        return Cell(env, ScriptPicker(env, *script))  # type: ignore[arg-type]
+
+    record = evaluate_bin(CONFIG, 3, shelf=CellShelf(make))
+    assert [frame.frame_id for frame in record.frames] == [0, 1, 2, 3]  # a look after the abstention, none at the end
+    assert [pick.frame_id for pick in record.picks] == [0, 1, 2, 3]
+    assert [pick.blame for pick in record.picks] == ["grasp", None, None, None]
+    assert [pick.candidate for pick in record.picks] == [0, None, 0, 0]
+    candidate = record.candidate(record.picks[0])
+    assert candidate is not None
+    assert (candidate.part, candidate.right) == (1, True)
+    assert record.candidate(record.picks[1]) is None
+    assert record.frame(4) is None
+
+
+def test_two_decisions_on_one_frame_judge_it_once() -> None:
+    def make(config: EvaluationConfig) -> Cell:
+        env = FakeEnv(parts=2)
+        env.look = lambda: None  # type: ignore[method-assign]
+        return Cell(env, ScriptPicker(env, abstain(), abstain()))  # type: ignore[arg-type]
+
+    record = evaluate_bin(CONFIG, 3, shelf=CellShelf(make))
+    assert (len(record.picks), len(record.frames)) == (2, 1)
+
+
 def test_a_record_survives_its_file(tmp_path: Path) -> None:
     record = evaluate_bin(CONFIG, 0, shelf=CellShelf(dice_cell))
     assert load_record(save_record(record, tmp_path)) == record
@@ -132,7 +162,7 @@ def test_another_configuration_and_a_crash_get_another_cell() -> None:
 
 @pytest.mark.slow
 def test_a_bin_alone_equals_the_same_bin_after_others() -> None:
-    config = EvaluationConfig(num_parts=(2, 3), camera=CameraConfig(width=320, height=240))
+    config = EvaluationConfig(num_parts=(2, 3), camera=CameraConfig(width=320, height=240), perception="oracle")
 
     def facts(record: BinRecord) -> list[tuple[object, ...]]:
         return [(p.outcome, p.abstention, p.part, p.width, p.score, p.t_motion, p.frame_id) for p in record.picks]
@@ -186,11 +216,13 @@ def test_the_note_warns_of_other_code() -> None:
     assert "\nWARNING  this code is commit bbb: --fresh computes" in found_note([record], 3, "bbb")
 
 
-@pytest.mark.parametrize("damage", ["", "{", '{"version": 1}', '{"version": 0}', "[]", "cut"])
+@pytest.mark.parametrize("damage", ["", "{", '{"version": 2}', '{"version": 0}', "[]", "cut", "frame"])
 def test_a_damaged_record_is_computed_again(tmp_path: Path, damage: str, caplog: pytest.LogCaptureFixture) -> None:
     first = run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
     path = record_path(tmp_path, 1)
-    path.write_text(path.read_text()[:-40] if damage == "cut" else damage)
+    whole = path.read_text()
+    cut = {"cut": whole[:-40], "frame": whole.replace('"visible_fractions"', '"visible"')}
+    path.write_text(cut.get(damage, damage))
     with caplog.at_level(logging.WARNING):
         second = run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
     assert [outcome_of(r) for r in first] == [outcome_of(r) for r in second]
@@ -277,7 +309,7 @@ def test_the_digest_sees_the_part_files_contents(tmp_path: Path) -> None:
     assert config.digest() != one
 
 
-def test_nonsense_is_refused(tmp_path: Path) -> None:
+def test_nonsense_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="seed must not be negative, got -1"):
         EvaluationConfig(seed=-1)
     with pytest.raises(ValueError, match=r"num_parts must be a rising pair from 1, got \(5, 4\)"):
@@ -286,5 +318,8 @@ def test_nonsense_is_refused(tmp_path: Path) -> None:
         Job(out=tmp_path, bins=0)
     with pytest.raises(ValueError, match=r"part must be one of .*tee.*, got 'teapot'"):
         EvaluationConfig(part="teapot").check()
-    with pytest.raises(NotImplementedError, match="perception='learned' needs"):
-        EvaluationConfig(perception="learned").check()
+    trimesh.creation.box((0.06, 0.04, 0.03)).export(tmp_path / "block.stl")
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))  # where a user's own weights would lie
+    with pytest.raises(ValueError, match="perception='learned' cannot look for 'block': there are no segmentation"):
+        EvaluationConfig(part=str(tmp_path / "block.stl")).check()
+    assert EvaluationConfig(part=str(tmp_path / "block.stl"), perception="oracle").check().model.name == "block"

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perception.metrics.intervals import wilson_interval
-from policies.statistics import bootstrap_mean, bootstrap_ratio, paired_difference, rate
+from policies.statistics import bootstrap_mean, bootstrap_ratio, paired_difference, paired_ratio_difference, rate
 
 
 @pytest.mark.parametrize(
@@ -94,3 +94,44 @@ def test_what_cannot_be_resampled_is_refused() -> None:
         paired_difference([1, 2], [1], rng)
     with pytest.raises(ValueError, match="denominators must be positive, got 0"):
         bootstrap_ratio([1, 2], [1, 0], rng)
+
+
+def test_a_paired_difference_of_ratios_is_that_of_the_pooled_ratios() -> None:
+    # 3 of 4 and 1 of 10 against 2 of 4 and 5 of 10; the mean of the bins' differences would be -0.075.
+    difference, low, high = paired_ratio_difference([(3, 4), (1, 10)], [(2, 4), (5, 10)], np.random.default_rng(0))
+    assert difference == pytest.approx(4 / 14 - 7 / 14)
+    assert (low, high) == pytest.approx((1 / 10 - 5 / 10, 3 / 4 - 2 / 4))  # of two bins every fourth draw is one twice
+
+
+def test_a_bin_without_trials_on_one_side_counts_on_the_other() -> None:
+    difference, low, high = paired_ratio_difference([(0, 0), (1, 2)], [(1, 1), (1, 1)], np.random.default_rng(0))
+    assert difference == -0.5
+    assert (low, high) == (-0.5, -0.5)  # draws of the first bin alone have no ratio, and are left out
+
+
+def test_ratios_that_do_not_exist_have_no_difference() -> None:
+    rng = np.random.default_rng(0)
+    assert np.isnan(paired_ratio_difference([(0, 0), (0, 0)], [(1, 1), (1, 1)], rng)).all()
+    difference, low, high = paired_ratio_difference([(1, 2)], [(1, 4)], rng)
+    assert difference == 0.25
+    assert np.isnan([low, high]).all()  # one bin says nothing about bins
+
+
+def test_the_interval_of_a_paired_difference_of_ratios_covers_and_pairs() -> None:
+    rng = np.random.default_rng(1)
+    hard = rng.uniform(0.3, 0.9, 60)  # bins differ much; both ways of picking suffer alike
+    first = np.column_stack([100 * hard, np.full(60, 100)])
+    second = np.column_stack([100 * (hard - 0.1) + rng.normal(0, 1, 60), np.full(60, 100)])
+    difference, low, high = paired_ratio_difference(first, second, rng)
+    half = 1.96 * (first - second)[:, 0].std() / 100 / np.sqrt(60)
+    assert (low, high) == pytest.approx((difference - half, difference + half), abs=0.2 * half)
+
+
+def test_unequal_or_impossible_ratios_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match="one length"):
+        paired_ratio_difference([(1, 2)], [(1, 2), (1, 2)], rng)
+    with pytest.raises(ValueError, match="nothing to resample"):
+        paired_ratio_difference([], [], rng)
+    with pytest.raises(ValueError, match="denominators must not be negative, got -2"):
+        paired_ratio_difference([(1, 2)], [(1, -2)], rng)

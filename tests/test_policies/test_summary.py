@@ -11,14 +11,16 @@ from perception.metrics.intervals import wilson_interval
 from policies.evaluation import EvaluationConfig
 from policies.outcomes import Abstention, GraspOutcome, PickResult
 from policies.records import BinRecord
+from policies.sight import CandidateRecord, FrameRecord
 from policies.summary import Summary, summarise
 from policies.tables import result_table
 
 CONFIG = EvaluationConfig()
 DELIVERED, MISSED = GraspOutcome.DELIVERED, GraspOutcome.MISSED
 RATES = {"gsr", "dr", "mpph", "ap", "ap50", "ap75", "candidate_pose_accuracy", "intervals"}
+SIGHT = {"candidate_precision", "candidate_recall", "candidates", "pose_error", "blame", "frames", "perception_ms"}
 COUNTS = {"attempts", "successes", "parts_total", "delivered", "lost", "abstentions", "termination", "outcomes"}
-CONTRACT = RATES | COUNTS | {"time", "clutter", "camera_backend", "versions"}
+CONTRACT = RATES | COUNTS | SIGHT | {"time", "clutter", "camera_backend", "versions"}
 
 
 def record(index: int, *picks: PickResult, parts: int = 10, lost: int = 0) -> BinRecord:
@@ -30,6 +32,15 @@ def record(index: int, *picks: PickResult, parts: int = 10, lost: int = 0) -> Bi
 def records() -> list[BinRecord]:
     first = record(0, attempt(DELIVERED), attempt(DELIVERED), abstain(), attempt(MISSED, t_motion=2.0))
     return [first, record(1, attempt(DELIVERED), abstain(Abstention.IK_INFEASIBLE), parts=30)]
+
+
+def seen(*right: bool, overlap: float | None = None) -> FrameRecord:
+    """A frame with one candidate each, on as many parts."""
+    candidates = [
+        CandidateRecord(part=k, score=0.9, right=good, found=k if good else -1, overlap=overlap)
+        for k, good in enumerate(right)
+    ]
+    return FrameRecord(frame_id=-1, visible_fractions=(1.0,) * len(right), candidates=tuple(candidates))
 
 
 def sum_up(records: list[BinRecord]) -> Summary:
@@ -132,6 +143,27 @@ def test_the_table_shows_the_numbers(records: list[BinRecord]) -> None:
 def test_the_table_warns_of_bins_of_different_commits(records: list[BinRecord]) -> None:
     mixed = [replace(records[0], git_commit="aaa"), replace(records[1], git_commit="bbb")]
     assert "NOTE  bins of 2 different commits: aaa, bbb" in result_table(sum_up(mixed))
+
+
+def test_failed_attempts_are_counted_by_blame_and_shown_beside_what_was_seen() -> None:
+    picks = [attempt(MISSED), attempt(MISSED), attempt(DELIVERED), attempt(GraspOutcome.COLLIDED)]
+    facts = {"config_hash": CONFIG.digest(), "index": 0, "wall": 9.0, "settle": 1.0, "render": 1.0}
+    first = BinRecord.from_result(bin_result(*picks), [""] * 4, [seen(True, False)], **facts)
+    assert [pick.blame for pick in first.picks] == ["grasp", "grasp", None, "physics"]
+    second = BinRecord.from_result(bin_result(attempt(MISSED)), [""], [seen(False, True, overlap=0.3)], **facts)
+    summary = sum_up([first, second])
+    assert summary.blame == {"segment": 1, "pose": 0, "grasp": 2, "physics": 1}
+    assert (summary.failures, summary.candidates, summary.candidate_pose_accuracy) == (4, 4, 0.5)
+    table = result_table(summary)
+    assert "failed attempts by blame    segment" in table
+    head = table.splitlines()[2:6]
+    assert [head[0].split("  ")[0], "recognition" in head[0], "picking success" in head[0]] == [
+        "segmentation AP",
+        True,
+        True,
+    ]
+    assert head[1].split() == ["–", "50.0", "%", "20.0", "%"]
+    assert "poses right of 4" in head[2]
 
 
 def test_columns_are_aligned() -> None:
