@@ -1,11 +1,16 @@
-"""One core means one core: what is timed here is meant to be compared."""
+"""How many threads compute: one core means one core, so that times can be compared."""
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
 
 import cv2
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 _VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -55,3 +60,15 @@ def use_threads(count: int | None) -> Iterator[None]:
         cv2.setNumThreads(before[0])
         if torch:
             torch.set_num_threads(before[1])
+
+
+def in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Return ``work`` done on each item, in their order, on as many threads as OpenCV may use.
+
+    It pays where ``work`` spends its time in compiled code that lets go of the interpreter's lock.
+    """
+    todo, threads = list(items), cv2.getNumThreads()
+    if min(len(todo), threads) < 2:
+        return [work(item) for item in todo]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(work, todo))

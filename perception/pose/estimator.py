@@ -30,6 +30,7 @@ from perception.pose.twins import TwinConfig, part_twins
 from perception.pose.verification import Verdict, VerificationConfig, verify
 from perception.pose.voting import RawPoses, VoteConfig, vote
 from perception.segmentation.instance import Instance
+from perception.threads import in_threads
 
 RIVALS = 0.25  # of d_max: poses of a scene whose centres are nearer speak of the same points
 Group = tuple[Floats, Floats]  # (N, 3) boundary points, camera frame [m], and their (N, 3) tangents
@@ -198,16 +199,24 @@ class PoseEstimator:
     def estimate_groups(
         self, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame
     ) -> list[PoseEstimate | None]:
-        """Return the best pose of each group, verified or not; None where none is voted for or possible."""
+        """Return the best pose of each group, verified or not; None where none is voted for or possible.
+
+        Note:
+            On as many threads as OpenCV may use (`perception.threads`); the same bits on any number.
+        """
         if len(boundary) == 0:
             return [None for _ in instances]
         scene = self._scene(boundary, frame)
-        choices = []
-        for k, instance in enumerate(instances):
-            group = self._thinned(boundary.points_cam[instance.point_idx], boundary.tangents_cam[instance.point_idx])
+
+        def choice(k: int) -> _Choice:
+            idx = instances[k].point_idx
+            group = self._thinned(boundary.points_cam[idx], boundary.tangents_cam[idx])
             heads = self._heads(vote(self.table, *group, config=self.config.votes))
-            choices.append(_Choice(self, group, scene, self._looks(heads, group, scene), k))
-        return arrange(choices, self.clash, self.config.min_score)
+            found = _Choice(self, group, scene, self._looks(heads, group, scene), k)
+            found.best()  # the work; what is left to the arrangement takes no time
+            return found
+
+        return arrange(in_threads(choice, range(len(instances))), self.clash, self.config.min_score)
 
     def estimate_scene(self, boundary: BoundaryCloud, frame: Frame) -> list[PoseEstimate]:
         """Return the verified poses of a whole scene without groups: PPF-MEAM alone, as before segmentation."""

@@ -18,6 +18,7 @@ from perception.pose import estimator as module
 from perception.pose.confidence import ConfidenceConfig, confidence
 from perception.pose.estimator import EstimatorConfig, PoseEstimate, PoseEstimator
 from perception.segmentation.instance import Instance
+from perception.threads import use_threads
 
 ELL = at.ell()
 ESTIMATOR = quick_estimator(ELL)
@@ -260,6 +261,13 @@ def test_the_same_scene_gives_the_same_bits() -> None:
     assert bits(alone[::-1]) == first  # the order of the groups does not matter
     scenes = [ESTIMATOR.estimate_scene(BOTH.boundary, BOTH.frame) for _ in range(2)]
     assert bits(list(scenes[0])) == bits(list(scenes[1]))
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_the_number_of_threads_does_not_matter(threads: int) -> None:
+    first = bits(groups_of(BOTH))
+    with use_threads(threads):
+        assert bits(groups_of(BOTH)) == first
 
 
 def test_the_scene_is_not_changed() -> None:

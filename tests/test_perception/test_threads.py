@@ -2,13 +2,14 @@
 
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 
 import cv2
 import pytest
 import torch
 
-from perception.threads import use_threads
+from perception.threads import in_threads, use_threads
 
 
 @pytest.fixture
@@ -57,9 +58,29 @@ def test_no_threads_are_refused(count: int) -> None:
 def test_it_does_not_load_torch() -> None:
     code = """
 import sys, cv2
-from perception.threads import use_threads
+from perception.threads import in_threads, use_threads
 with use_threads(1):
     assert cv2.getNumThreads() == 1
 sys.exit("torch" in sys.modules)
 """
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+def test_work_in_threads_is_in_order_on_any_number(threads: int) -> None:
+    with use_threads(threads):
+        assert in_threads(lambda n: n * n, range(20)) == [n * n for n in range(20)]
+        assert in_threads(lambda n: n, []) == []
+
+
+def test_as_many_threads_work_as_opencv_may_use() -> None:
+    together = threading.Barrier(2, timeout=10)
+    with use_threads(2):
+        in_threads(lambda _: together.wait(), range(2))  # ends only if both are at it at once
+    with use_threads(1):
+        assert set(in_threads(lambda _: threading.get_ident(), range(4))) == {threading.get_ident()}
+
+
+def test_an_error_in_a_thread_reaches_the_caller() -> None:
+    with use_threads(2), pytest.raises(ZeroDivisionError):
+        in_threads(lambda n: 1 // n, [1, 0, 1])
