@@ -17,9 +17,11 @@ from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorP
 from binpick_env.outcomes import Delivery, DeliveryEvent, DeliveryJudge
 from binpick_env.parts import Part, load_part
 from binpick_env.perceiver import Exposure, PoseNoise, make_perceiver
+from binpick_env.perception_noise import PerceptionNoise
 from binpick_env.render import CellRenderer
 from binpick_env.robot import HOME
 from binpick_env.settle import drop_and_settle
+from binpick_env.shading import Light
 from binpick_env.sighting import Sighting
 from binpick_env.simulation import Simulation
 from perception.frame import Frame, Workspace
@@ -83,7 +85,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `perception` | `"learned"` | `"learned"` (from pixels), `"gt_masks"` (true segments) or `"oracle"` (true poses) |
     | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"` |
     | `camera` | `None` | a `CameraConfig` |
-    | `pose_noise` | `None` | a `PoseNoise` added by the oracle |
+    | `pose_noise` | `None` | the oracle's: a `PoseNoise`, a `PerceptionNoise`, or `"learned"`: errors such as the learned perceiver's of this part and sensor |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
     | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts |
     | `threads` | `None` | threads of the ray caster, and of torch and OpenCV in perception; all cores unless given |
@@ -91,7 +93,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     ## Versions
     v0: first release.
-    """
+    """  # noqa: E501 - tables
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium declares it so
         "render_modes": ["human", "rgb_array", "depth_array"],
@@ -105,7 +107,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         perception: str = "learned",
         sensor: SensorPreset = "good",
         camera: CameraConfig | None = None,
-        pose_noise: PoseNoise | None = None,
+        pose_noise: PoseNoise | PerceptionNoise | Literal["learned"] | None = None,
         obs_mode: Literal["state", "rgbd"] = "state",
         config: CellConfig | None = None,
         threads: int | None = None,
@@ -139,7 +141,10 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             self.config = replace(self.config, camera=camera)
         self.part = part if isinstance(part, Part) else load_part(part)
         self.workspace: Workspace = self.config.bin.workspace()
-        self._perceiver = make_perceiver(perception, self.part.model, self.workspace, pose_noise, threads)
+        if isinstance(pose_noise, str) and pose_noise != "learned":
+            raise ValueError(f"pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got {pose_noise!r}")
+        noise = PerceptionNoise.for_part(self.part.model.name, sensor) if isinstance(pose_noise, str) else pose_noise
+        self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads)
         self.render_mode = render_mode
         self.simulation = Simulation(self.config, self.part, high)
         self._num_parts = (low, high)
@@ -147,6 +152,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._obs_mode = obs_mode
         geoms = self.simulation.part_of_geom
         self.camera = DepthCamera(self.simulation.model, self.config.camera, self.workspace, geoms, threads=threads)
+        self.light: Light | None = None  # of the grey image, the camera's own if None
         self._renderer = CellRenderer(self.simulation)
         self.capture: Capture | None = None
         self._observed = self._observation_space()
@@ -178,16 +184,8 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by 0.04 s towards the targets of ``action``."""
-        self._require_reset()
-        if np.shape(action) != (7,) or not np.all(np.isfinite(action)):
-            raise ValueError(f"action must be (7,) and finite, got {action}")
-        targets = np.clip(np.asarray(action, dtype=np.float64), self._low, self._high)
-        self.simulation.step(targets[:6], float(targets[6]))
-        self._steps += 1
-        events = self._judge.update(float(targets[6]))
-        self.events.extend(events)
+        events = self.advance(action)
         reward = float(sum(event.kind is Delivery.DELIVERED for event in events))
-        self.delivered += int(reward)
         self._watch_home()
         if self.render_mode == "human":
             self._renderer.show()
@@ -234,6 +232,29 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         """Return the parts that are out of the bin, held by nothing, and not judged yet."""
         return frozenset(int(i) for i in np.flatnonzero(self._judge.loose()))
 
+    def advance(self, action: NDArray[np.float32]) -> list[DeliveryEvent]:
+        """Advance as :meth:`step` does, but take no frame and observe nothing; return what left play.
+
+        For those who decide on frames alone: they call :meth:`look` when the arm is back.
+        """
+        self._require_reset()
+        if np.shape(action) != (7,) or not np.all(np.isfinite(action)):
+            raise ValueError(f"action must be (7,) and finite, got {action}")
+        targets = np.clip(np.asarray(action, dtype=np.float64), self._low, self._high)
+        self.simulation.step(targets[:6], float(targets[6]))
+        self._steps += 1
+        events = self._judge.update(float(targets[6]))
+        self.events.extend(events)
+        self.delivered += sum(event.kind is Delivery.DELIVERED for event in events)
+        return events
+
+    def skip(self, steps: int) -> None:
+        """Count control steps that somebody else brought the arm through; nothing else moves in that time."""
+        if steps < 0:
+            raise ValueError(f"steps must not be negative, got {steps}")
+        self._steps += steps
+        self.simulation.data.time += steps * CONTROL_PERIOD
+
     def look(self) -> Observation:
         """Take another frame now, with fresh sensor noise, and return the observation."""
         self._require_reset()
@@ -250,7 +271,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         simulation = self.simulation
         simulation.refresh()
         started = time.perf_counter()
-        self.capture = self.camera.capture(simulation.data, self.np_random, self._sensor)
+        self.capture = self.camera.capture(simulation.data, self.np_random, self._sensor, self.light)
         poses = simulation.part_poses()
         fractions = visible_fractions(self.capture, self.part.model.mesh, poses) * simulation.in_play
         self.exposure = Exposure(

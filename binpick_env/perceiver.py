@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from binpick_env.camera import Capture
 from binpick_env.candidates import PoseCandidate
+from binpick_env.perception_noise import PerceptionNoise
 from binpick_env.sighting import Sighting
 from perception.frame import Workspace
 from perception.geometry import Floats, rotation_about, transform_points
@@ -105,7 +106,11 @@ def make_candidate(
 
 
 def make_perceiver(
-    mode: str, part: PartModel, workspace: Workspace, noise: PoseNoise | None = None, threads: int | None = None
+    mode: str,
+    part: PartModel,
+    workspace: Workspace,
+    noise: PoseNoise | PerceptionNoise | None = None,
+    threads: int | None = None,
 ) -> Perceiver:
     """Build the perceiver called ``mode``.
 
@@ -113,7 +118,7 @@ def make_perceiver(
         mode: ``"oracle"``, true poses; ``"gt_masks"``, true segments and estimated poses; ``"learned"``, the network's.
         part: What to look for. The models of its edges and its surface take seconds the first time.
         workspace: The bin it lies in.
-        noise: The oracle's.
+        noise: The oracle's: of a stated size, or errors such as the learned perceiver's.
         threads: That torch and OpenCV may use while the others look; None leaves them alone.
 
     Raises:
@@ -124,6 +129,10 @@ def make_perceiver(
     if mode not in get_args(Perception):
         raise ValueError(f"perception must be one of {', '.join(get_args(Perception))}, got {mode!r}")
     if mode == "oracle":
+        if isinstance(noise, PerceptionNoise):
+            from binpick_env.noisy_oracle import NoisyOraclePerceiver
+
+            return NoisyOraclePerceiver(noise)
         return OraclePerceiver(noise)
     # Here, since it brings the pose estimator's kernels, which the oracle does without.
     from binpick_env.pixel_perceiver import gt_masks_perceiver, learned_perceiver

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from binpick_env.config import CONTROL_PERIOD
 from binpick_env.env import BinPickEnv
@@ -36,10 +37,13 @@ class Execution:
         """Run a trajectory; with ``guard``, stop and return False when the robot pushes harder than it may."""
         for q in trajectory.q[1:]:
             self._step(q, gripper)
-            if guard and self._env.simulation.robot_push().force > self._settings.stop_force:
-                self._collided = True
+            if guard and self._pushes():
                 return False
         return True
+
+    def leap_home(self) -> bool:
+        """Be at home without a way there, if that can be; it cannot."""
+        return False
 
     def carry(self, trajectory: Trajectory, empty: float) -> bool:
         """Lift and carry with the jaw closing; False as soon as the jaw is found empty after the lift.
@@ -55,6 +59,8 @@ class Execution:
                 self._held["lifted"] = bool(self._env.simulation.gripped())
                 if self._env.simulation.gripper_position >= empty:
                     return False
+            if k >= lifted and self._carry_across(trajectory, k):
+                break
         self._held["carried"] = bool(self._env.simulation.gripped())
         return True
 
@@ -104,8 +110,22 @@ class Execution:
             return GraspOutcome.DROPPED
         return GraspOutcome.NOT_SETTLED
 
+    def _pushes(self) -> bool:
+        """Return, and remember, whether the robot pushes harder than it may."""
+        if self._env.simulation.robot_push().force <= self._settings.stop_force:
+            return False
+        self._collided = True
+        return True
+
+    def _carry_across(self, trajectory: Trajectory, k: int) -> bool:  # noqa: ARG002 - those that leave out physics do
+        """Bring the load from sample ``k``, lifted, to the trajectory's end in one, if that can be; it cannot."""
+        return False
+
     def _step(self, q: Floats, gripper: float) -> None:
         if self._env.truncated:
             return
         self._way.append(self._env.simulation.target.copy())
-        self._env.step(np.append(q, gripper).astype(np.float32))
+        self._advance(np.append(q, gripper).astype(np.float32))
+
+    def _advance(self, action: NDArray[np.float32]) -> None:
+        self._env.step(action)

@@ -1,6 +1,7 @@
 """The mink picker: choose a grasp, approach, close, lift, verify, carry, release, and say what came of it."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,6 +25,7 @@ from policies.planner import MotionPlanner, Tool
 from policies.planning_scene import PlanningScene
 
 _SPARSE = 8  # every so many of the gripper's points are checked where it has room
+ExecutionMaker = Callable[[BinPickEnv, ExecutionSettings], Execution]
 T_SENSE = 0.5  # nominal exposure of a structured-light camera [s]
 
 
@@ -67,13 +69,20 @@ class ScriptedPicker:
     names the outcome.
     """
 
-    def __init__(self, env: BinPickEnv, settings: PickerSettings | None = None) -> None:
+    def __init__(
+        self, env: BinPickEnv, settings: PickerSettings | None = None, execution: ExecutionMaker = Execution
+    ) -> None:
         """Load gripper, grasps and planner for the environment's part and cell; a few seconds for a new part.
+
+        Args:
+            env: The unwrapped cell.
+            settings: Defaults if None.
+            execution: Makes what steps the cell through an attempt.
 
         Raises:
             ValueError: There is no grasp on the part.
         """
-        self._env = env
+        self._env, self._execution = env, execution
         self.settings = settings or PickerSettings()
         self.gripper = gripper_model()
         self.grasp_set = sample_grasps(env.part.model)
@@ -198,7 +207,7 @@ class ScriptedPicker:
         if plan.frame_id != env.frame_id:
             raise ValueError(f"the plan is for frame {plan.frame_id}, but the last one is {env.frame_id}: plan again")
         began, events_before, strays = env.simulation.time, len(env.events), env.unjudged()
-        execution = Execution(env, self.settings.execution)
+        execution = self._execution(env, self.settings.execution)
         candidate = env.candidates[plan.grasp.candidate]
         planning = self._move(plan, execution, candidate.T_world_part)
         execution.await_judgement()
@@ -264,6 +273,8 @@ class ScriptedPicker:
 
     def _go_home(self, execution: Execution) -> float:
         """Lift out of the bin and go home with the jaw open; return the wall clock of planning [s]."""
+        if execution.leap_home():
+            return 0.0
         started = time.perf_counter()
         q = self._env.simulation.target.copy()
         tool = Tool(points_tcp=self.gripper.hull_points(0.0)[::_SPARSE])

@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +14,9 @@ from binpick_env.config import CameraConfig, CellConfig, SensorPreset
 from binpick_env.env import BinPickEnv
 from binpick_env.parts import Part
 from binpick_env.perceiver import PoseNoise
+from binpick_env.perception_noise import PerceptionNoise
 from policies.episode import Termination
+from policies.fast_execution import fast_picker
 from policies.grasp_menu import PER_PART, ROWS, GraspMenu, Observation, Offer
 from policies.outcomes import Abstention, GraspOutcome, PickResult
 from policies.scripted import T_SENSE, PickerSettings, ScriptedPicker
@@ -102,6 +104,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
     | `max_failures` | `2` | failures in a row that end the bin; `None` for never |
     | `per_part` | `3` | at most so many grasps of each part |
     | `picker` | `None` | `PickerSettings` of the ranking and the execution |
+    | `fast` | `False` | leave out the physics of an arm that touches nothing, and with the oracle the grey image's shadows: outcomes are very nearly those of the full simulation (BENCHMARK.md), `t_motion` lacks the way home |
 
     ## Versions
     v0: first release.
@@ -116,13 +119,14 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
         perception: str = "learned",
         sensor: SensorPreset = "good",
         camera: CameraConfig | None = None,
-        pose_noise: PoseNoise | None = None,
+        pose_noise: PoseNoise | PerceptionNoise | Literal["learned"] | None = None,
         config: CellConfig | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
         max_failures: int | None = 2,
         per_part: int = PER_PART,
         picker: PickerSettings | None = None,
+        fast: bool = False,
     ) -> None:
         cell: dict[str, Any] = {
             "part": part,
@@ -136,11 +140,11 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
             "render_mode": render_mode,
         }
         # A pickled copy is made anew from these; it is the same environment from its first reset(seed) on.
-        EzPickle.__init__(self, **cell, max_failures=max_failures, per_part=per_part, picker=picker)
+        EzPickle.__init__(self, **cell, max_failures=max_failures, per_part=per_part, picker=picker, fast=fast)
         if max_failures is not None and max_failures < 1:
             raise ValueError(f"max_failures must be at least 1, or None for never, got {max_failures}")
         self.cell = BinPickEnv(**cell)
-        self.picker = ScriptedPicker(self.cell, picker)
+        self.picker = fast_picker(self.cell, picker, perception) if fast else ScriptedPicker(self.cell, picker)
         self.max_failures, self.per_part = max_failures, per_part
         self.render_mode = render_mode
         self._menu = GraspMenu(self.cell, self.picker, per_part)

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ from policies.scripted import T_SENSE, Plan, ScriptedPicker
 from policies.selection_env import GraspSelectionEnv
 from policies.selection_features import RANKED, column
 
+SHIPPED = Path(__file__).resolve().parent / "weights"
 _TIE = 1e-5  # what rounding to float32 does to a sum of features, and more; the first row wins a tie
 
 
@@ -69,6 +71,29 @@ class WeightedSelector:
         return _first_best(observation, total - 10.0 * _column(observation, "suspect"))
 
 
+class LearnedSelector:
+    """A trained network's best row: the policy's likeliest action, or the grasp that is likeliest to be delivered."""
+
+    def __init__(self, path: Path) -> None:
+        """Load a ``.safetensors`` file.
+
+        Raises:
+            SelectorError: It does not hold a whole selector that was trained on these features.
+        """
+        from policies.selector_weights import load_selector_net  # torch, which the heuristics do without
+
+        self._network = load_selector_net(path)
+
+    def select(self, observation: Observation, rng: np.random.Generator) -> int:  # noqa: ARG002
+        """Return the row of the largest logit."""
+        import torch
+
+        with torch.no_grad():
+            rows, mask = (torch.from_numpy(observation[key])[None] for key in ("grasps", "mask"))
+            logits, _ = self._network(rows, mask)
+        return _first_best(observation, logits[0].double().numpy())
+
+
 SELECTORS: dict[str, Callable[[], Selector]] = {
     "random": RandomSelector,
     "highest": HighestSelector,
@@ -82,6 +107,34 @@ def make_selector(name: str) -> Selector:
     if name not in SELECTORS:
         raise ValueError(f"selector must be one of {', '.join(SELECTORS)}, got {name!r}")
     return SELECTORS[name]()
+
+
+def load_selector(spec: str) -> Selector:
+    """Build the heuristic or load the trained selector that ``spec`` names.
+
+    Args:
+        spec: Name of a heuristic, path to a ``.safetensors`` file, or the name of one of the shipped ones.
+
+    Raises:
+        ValueError: There is none such.
+    """
+    if spec in SELECTORS:
+        return SELECTORS[spec]()
+    return LearnedSelector(selector_path(spec))
+
+
+def selector_path(spec: str) -> Path:
+    """Return the file of a trained selector.
+
+    Raises:
+        ValueError: There is no such file; the text names those that there are.
+    """
+    for path in (Path(spec), SHIPPED / f"{spec}.safetensors"):
+        if path.suffix == ".safetensors" and path.is_file():
+            return path
+    shipped = sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
+    known = ", ".join([*SELECTORS, *shipped])
+    raise ValueError(f"a selector must be one of {known}, or the path of a .safetensors file, got {spec!r}")
 
 
 class SelectorPicker:

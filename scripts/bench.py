@@ -58,6 +58,16 @@ class Pose(Files):
     open3d_python: Path | None = None  # interpreter of an environment with open3d-cpu
 
 
+@dataclass(frozen=True, kw_only=True)
+class Selection(Files):
+    """Attempts a second of BinPickSelect-v0, in full and fast, in as many processes as there are workers."""
+
+    part: str = "tee"  # catalogue name or mesh file
+    seed: int = 0  # of the first pile
+    picks: int = 40  # attempts of each process
+    workers: int = 2  # processes, one core each
+
+
 def cell(args: tyro.conf.OmitArgPrefixes[Cell]) -> int:
     """Settling, stepping, camera frames by backend, attempts; everything on one core."""
     return _bench("cell", args, lambda: bench_cell(args.part, args.count, args.seed, args.repeats, args.picks))
@@ -78,6 +88,13 @@ def pose(args: tyro.conf.OmitArgPrefixes[Pose]) -> int:
     interpreters = {"opencv": args.opencv_python, "open3d": args.open3d_python}
     measure = partial(bench_pose, args.part, args.seed, args.count, args.whole_scenes, interpreters)
     return _bench("pose", args, measure, pose_table)
+
+
+def selection(args: tyro.conf.OmitArgPrefixes[Selection]) -> int:
+    """Attempts a second of BinPickSelect-v0, in full and fast, in as many processes as there are workers."""
+    from policies.bench_selection import bench_selection  # compiled kernels, which take seconds to import
+
+    return _bench("selection", args, lambda: bench_selection(args.part, args.seed, args.picks, args.workers))
 
 
 def _bench(
@@ -106,4 +123,5 @@ if __name__ == "__main__":
     app.command(name="cell")(cell)
     app.command(name="segmentation")(segmentation)
     app.command(name="pose")(pose)
+    app.command(name="selection")(selection)
     sys.exit(app.cli(description=__doc__))

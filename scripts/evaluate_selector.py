@@ -1,0 +1,84 @@
+"""Compare grasp selectors on the same bins: heuristics and trained ones, with paired intervals."""
+
+import logging
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from tqdm import tqdm
+
+from binpick_env.config import SensorPreset
+from binpick_env.perceiver import Perception
+from policies.evaluation import BinError, EvaluationConfig
+from policies.jobs import Job
+from policies.records import BinRecord
+from policies.selector_evaluation import compare_selectors, evaluate_selectors, save_standings, standings_table
+from policies.selectors import SELECTORS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Let selectors pick the same bins and print how well they did beside each other.
+
+    Every bin is kept as it is finished: the same command again goes on where it was stopped. A hard bin is, for one,
+    --part part_b --min-parts 30 --max-parts 30 --sensor harsh.
+    """
+
+    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
+    selectors: tuple[str, ...] = tuple(SELECTORS)  # heuristics by name, trained ones by the path of their .safetensors
+    bins: int = 50  # how many bins
+    seed: int = 0  # bin i's own seed follows from this and i alone
+    perception: Perception = "learned"  # from pixels; gt_masks: true segments; oracle: true poses of visible parts
+    sensor: SensorPreset = "good"  # the depth camera's noise
+    min_parts: int = 20  # smallest fill of a bin
+    max_parts: int = 30  # largest fill
+    workers: int = 1  # processes; each computes on one core
+    out: Path | None = None  # folder of the records; runs/selectors-PART-PERCEPTION-SENSOR-SEED unless given
+    json: Path | None = None  # where to write the numbers; selectors.json in the folder unless given
+
+    def config(self) -> EvaluationConfig:
+        """Return what the numbers depend on."""
+        return EvaluationConfig(
+            part=self.part,
+            seed=self.seed,
+            perception=self.perception,
+            sensor=self.sensor,
+            num_parts=(self.min_parts, self.max_parts),
+        )
+
+    def job(self) -> Job:
+        """Return how it is done."""
+        name = f"selectors-{Path(self.part).stem}-{self.perception}-{self.sensor}-{self.seed}"
+        return Job(out=self.out or Path("runs") / name, bins=self.bins, workers=self.workers, pictures=False)
+
+
+def main(args: Arguments) -> int:
+    """Evaluate; return the exit code."""
+    try:
+        config, job = args.config(), args.job()
+        config.check()
+        with tqdm(total=args.bins * len(args.selectors), unit="bin", smoothing=0) as bar:
+
+            def on_bin(name: str, record: BinRecord) -> None:
+                bar.set_postfix(selector=name, last=f"{record.delivered}/{record.parts_total} parts")
+                bar.update()
+
+            records = evaluate_selectors(config, job, args.selectors, on_bin)
+        best, standings = compare_selectors(records, args.seed)
+    except KeyboardInterrupt:
+        print("\nstopped; finished bins are kept: the same command goes on from there", file=sys.stderr)
+        return 130
+    except (BinError, ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(standings_table(best, standings))
+    path = args.json or job.out / "selectors.json"
+    save_standings(path, config, best, standings, records)
+    print(f"kept in {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
+    sys.exit(main(tyro.cli(Arguments)))

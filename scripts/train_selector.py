@@ -1,0 +1,110 @@
+"""Train a grasp selector: by MaskablePPO, or as a contextual bandit on logged attempts."""
+
+import logging
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+from tqdm import tqdm
+
+from policies.selector_experience import Behaviour, Cells
+
+
+@dataclass(frozen=True, kw_only=True)
+class Common:
+    """What both methods are told."""
+
+    cells: tyro.conf.OmitArgPrefixes[Cells] = field(default_factory=Cells)
+    workers: int = 1  # processes; each computes on one core
+    seed: int = 0  # of piles, weights and order
+    out: Path | None = None  # folder of the training; runs/selector-METHOD-PART-SEED unless given
+
+    def folder(self, method: str) -> Path:
+        """Return where the training is kept."""
+        return self.out or Path("runs") / f"selector-{method}-{Path(self.cells.part).stem}-{self.seed}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ppo(Common):
+    """Train by MaskablePPO. The same command again goes on where it was stopped, more picks go further.
+
+    For a last stretch with the real perception: the same folder, more picks, --perception learned.
+    """
+
+    picks: int = 20_000  # in all
+    rollout: int = 128  # picks of each process between updates
+    initial: Path | None = None  # selector to start from, the bandit's for one
+    hidden: int = 64  # units of the network's layers
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bandit(Common):
+    """Log attempts, then fit whether a grasp is delivered. Bins that are logged already stay."""
+
+    bins: int = 200  # whose attempts are logged
+    behaviour: str = "weighted"  # who chooses meanwhile: a heuristic, or a trained selector
+    epsilon: float = 0.3  # share of the choices that are made at random instead
+    hidden: int = 64  # units of the network's layers; 0 is logistic regression
+    context: bool = True  # whether a grasp's score depends on the others on offer
+    epochs: int = 60  # passes over the attempts
+
+
+def ppo(args: tyro.conf.OmitArgPrefixes[Ppo]) -> int:
+    """Train by MaskablePPO."""
+    try:
+        # Here, since the extra `learn` is asked for.
+        from policies.selector_net import SelectorNetConfig
+        from policies.selector_training import PpoConfig, train_ppo
+
+        network = SelectorNetConfig(hidden=args.hidden)
+        config = PpoConfig(network=network, rollout=args.rollout, batch=min(64, args.rollout), seed=args.seed)
+        with tqdm(total=args.picks, unit="pick", smoothing=0) as bar:
+
+            def on_progress(picks: int, rates: dict[str, float]) -> None:
+                bar.update(picks - bar.n)
+                bar.set_postfix({name: f"{value:.3f}" for name, value in rates.items()})
+
+            path = train_ppo(
+                config, args.cells, args.folder("ppo"), args.picks,
+                workers=args.workers, initial=args.initial, on_progress=on_progress,
+            )  # fmt: skip
+    except (ValueError, OSError, ModuleNotFoundError) as error:
+        return _failed(error)
+    print(f"kept in {path}")
+    return 0
+
+
+def bandit(args: tyro.conf.OmitArgPrefixes[Bandit]) -> int:
+    """Train a contextual bandit on logged attempts."""
+    try:
+        from policies.selector_bandit import BanditConfig
+        from policies.selector_bandit_run import train_bandit
+        from policies.selector_net import SelectorNetConfig
+
+        network = SelectorNetConfig(hidden=args.hidden, context=args.context)
+        config = BanditConfig(network=network, epochs=args.epochs)
+        behaviour = Behaviour(selector=args.behaviour, epsilon=args.epsilon)
+        with tqdm(total=args.bins, unit="bin", smoothing=0) as bar:
+            path, last = train_bandit(
+                config, args.cells, behaviour, args.folder("bandit"), args.bins,
+                seed=args.seed, workers=args.workers, on_bin=lambda _: bar.update(),
+            )  # fmt: skip
+    except (ValueError, OSError, ModuleNotFoundError) as error:
+        return _failed(error)
+    print(f"on held-out bins: {last}")
+    print(f"kept in {path}")
+    return 0
+
+
+def _failed(error: Exception) -> int:
+    print(f"error: {error}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s")
+    app = tyro.extras.SubcommandApp()
+    app.command(name="ppo")(ppo)
+    app.command(name="bandit")(bandit)
+    sys.exit(app.cli(description=__doc__))

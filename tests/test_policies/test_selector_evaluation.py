@@ -1,0 +1,110 @@
+"""Selectors on the same bins: folders, resumption, the comparison and its table."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_cell import dice_cell
+
+from policies.evaluation import Cell, EvaluationConfig
+from policies.jobs import FolderError, Job
+from policies.records import BinRecord
+from policies.selector_evaluation import (
+    compare_selectors,
+    evaluate_selectors,
+    save_standings,
+    selector_names,
+    standings_table,
+)
+from policies.selector_net import SelectorNet, SelectorNetConfig
+from policies.selector_weights import save_selector
+
+CONFIG = EvaluationConfig(perception="oracle", seed=3)
+
+
+def cell(spec: str, config: EvaluationConfig) -> Cell:
+    return dice_cell(config)
+
+
+def evaluated(
+    tmp_path: Path, bins: int = 3, specs: Sequence[str] = ("random", "weighted")
+) -> dict[str, list[BinRecord]]:
+    job = Job(out=tmp_path, bins=bins, pictures=False)
+    return evaluate_selectors(CONFIG, job, specs, make_cell=cell)
+
+
+def scored(record: BinRecord, delivered: int, total: int = 10) -> BinRecord:
+    return replace(record, delivered=delivered, parts_total=total)
+
+
+def test_every_selector_picks_the_same_bins_into_its_own_folder(tmp_path: Path) -> None:
+    told: list[tuple[str, int]] = []
+    job = Job(out=tmp_path, bins=2, pictures=False)
+    records = evaluate_selectors(
+        CONFIG, job, ["random", "weighted"], lambda name, r: told.append((name, r.index)), make_cell=cell
+    )
+    assert told == [("random", 0), ("random", 1), ("weighted", 0), ("weighted", 1)]
+    seeds = {name: [record.seed for record in own] for name, own in records.items()}
+    assert seeds["random"] == seeds["weighted"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["random", "weighted"]
+
+
+def test_bins_that_are_there_are_not_picked_again(tmp_path: Path) -> None:
+    evaluated(tmp_path, 2)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("bin_*.json")}
+    evaluated(tmp_path, 3, ("random", "weighted", "highest"))
+    assert len(before) == 4
+    assert all(path.stat().st_mtime_ns == at for path, at in before.items())
+    assert len(list(tmp_path.rglob("bin_*.json"))) == 9
+    with pytest.raises(FolderError, match="holds another evaluation"):
+        evaluate_selectors(replace(CONFIG, sensor="harsh"), Job(out=tmp_path, bins=1), ["random"], make_cell=cell)
+
+
+def test_a_trained_selectors_name_changes_with_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "net.safetensors"
+    names = set()
+    for hidden in (4, 8):
+        save_selector(path, SelectorNet(SelectorNetConfig(hidden=hidden)), {})
+        names |= set(selector_names([str(path)]).values())
+    assert len(names) == 2
+    assert all(name.startswith("net-") for name in names)
+    with pytest.raises(ValueError, match="every selector may be evaluated once, got random, random"):
+        selector_names(["random", "random"])
+    with pytest.raises(ValueError, match=r"or the path of a .safetensors file, got 'none'"):
+        selector_names(["none"])
+
+
+def test_the_comparison_is_with_the_best_heuristic_and_paired(tmp_path: Path) -> None:
+    base = evaluated(tmp_path, 4, ("random",))["random"]
+    records = {
+        "random": [scored(r, n) for r, n in zip(base, (1, 5, 2, 4), strict=True)],
+        "weighted": [scored(r, n) for r, n in zip(base, (4, 8, 5, 7), strict=True)],
+        "ours-1": [scored(r, n) for r, n in zip(base, (5, 9, 6, 8), strict=True)],  # one more in every bin
+    }
+    best, standings = compare_selectors(records)
+    assert best == "weighted"
+    assert standings["weighted"].dr_gap is None
+    assert standings["ours-1"].dr_gap == pytest.approx((0.1, 0.1, 0.1))
+    assert standings["random"].dr_gap == pytest.approx((-0.3, -0.3, -0.3))
+    assert standings["ours-1"].gsr_gap == pytest.approx((0.0, 0.0, 0.0))
+    assert standings["ours-1"].dr.value == pytest.approx(0.7)
+    text = standings_table(best, standings)
+    assert [line.split()[0] for line in text.splitlines()[1:4]] == ["ours-1", "weighted", "random"]
+    assert "+10.0 (+10.0 to +10.0)" in text
+    save_standings(tmp_path / "s.json", CONFIG, best, standings, records)
+    kept = json.loads((tmp_path / "s.json").read_text())
+    assert kept["best_heuristic"] == "weighted"
+    assert kept["selectors"]["ours-1"]["dr_gap"] == pytest.approx([0.1, 0.1, 0.1])
+    assert kept["selectors"]["weighted"]["dr_gap"] is None
+
+
+def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
+    own = evaluated(tmp_path, 2, ("random",))["random"]
+    with pytest.raises(ValueError, match="a heuristic is needed to compare with: one of random, highest"):
+        compare_selectors({"ours": own})
+    with pytest.raises(ValueError, match="were not evaluated on the same bins"):
+        compare_selectors({"ours": own, "random": own[:1]})
+    assert np.isnan(compare_selectors({"ours": own[:1], "random": own[:1]})[1]["ours"].dr_gap[1])  # type: ignore[index]
