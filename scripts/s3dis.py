@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+import torch
 import tyro
 from tqdm import tqdm
 
@@ -15,20 +16,21 @@ from binpick_env.folder_claim import claim
 from binpick_env.process_map import WorkerError, map_indices
 from binpick_env.text_tables import columns
 from perception.files import write_atomically
-from perception.s3dis.categories import AREAS
-from perception.s3dis.evaluation import Population, Predict, S3disScores, match_rooms
-from perception.s3dis.identities import predict_ground_truth, predict_merged_ground_truth_blocks
+from perception.s3dis.evaluation import S3disScores, match_rooms
 from perception.s3dis.prepare import prepare_rooms, summary
 from perception.s3dis.published import SOURCE, table_rows
 from perception.s3dis.raw_tree import find_raw_rooms
 from perception.s3dis.record import recorded
-from perception.s3dis.room import find_rooms
+from perception.s3dis.subject import Subject
 from perception.s3dis.synthesis import SynthesisConfig, synthesize_rooms
+from perception.s3dis.training import RowTraining, train_row
+from perception.segmentation.distributed import processes
+from perception.segmentation.progress import TrainingDisplay
+from perception.segmentation.run import WEIGHTS
+from perception.segmentation.training import TrainingError
+from perception.threads import use_threads
 
-IDENTITIES: dict[str, Predict] = {
-    "ground_truth": predict_ground_truth,
-    "merged_ground_truth_blocks": predict_merged_ground_truth_blocks,
-}
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,31 +74,41 @@ class Prepare:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate:
+class Train(RowTraining):
+    """Train a row of Table 1; goes on where it was stopped. Under torchrun, several processes train together."""
+
+    device: str | None = None  # a GPU if there is one unless given
+    threads: int | None = None  # of the processor; torch's choice unless given
+
+    def run(self) -> None:
+        """Train."""
+        out = self.folder()
+        with processes() as place, use_threads(self.threads), TrainingDisplay(out, False, place.rank == 0) as shown:
+            device = self.device or (f"cuda:{place.local_rank}" if DEVICE == "cuda" else DEVICE)
+            train_row(self, place, device, shown.on_step, shown.on_line)
+        print(f"weights   {out / WEIGHTS}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Subject):
     """Print AP50 of the twelve categories beside the paper's Table 1."""
 
-    rooms: Path  # folder made by prepare
-    predictions: Literal["ground_truth", "merged_ground_truth_blocks"]  # what to judge
-    areas: tuple[int, ...] = AREAS  # to evaluate on
-    population: Population = "room"  # the room's points, each once; or those of all blocks, as SGPN's code counts
-    seed: int = 0  # of the share-out of a block's points among samples
     workers: int = 2  # processes; each computes on one core
     json: Path | None = None  # where to write ap50 by category, mean_ap50, ap25, ap
 
     def run(self) -> None:
         """Evaluate."""
-        paths = find_rooms(self.rooms, self.areas)
-        judged = match_rooms(IDENTITIES[self.predictions], paths, _processes(self.workers), self.population, self.seed)
+        paths = self.paths()
+        judged = match_rooms(self.predict(DEVICE), paths, _processes(self.workers), self.population, self.seed)
         scores = S3disScores.of(list(_bar(judged, len(paths))))
         print(f"{SOURCE}; last row: {len(paths)} rooms of {self.rooms}\n")
-        print(columns(table_rows([(self.predictions, scores)])))
+        print(columns(table_rows([(self.name, scores)])))
         print(f"\nmean AP25 {100 * scores.ap25:.1f}, mean AP {100 * scores.ap:.1f}")
         if self.json is not None:
-            about = {"predictions": self.predictions, "population": self.population, "rooms": len(paths)}
-            write_atomically(self.json, recorded({**asdict(scores), **about}))
+            write_atomically(self.json, recorded({**asdict(scores), **self.note(), "rooms": len(paths)}))
 
 
-Arguments = Synthesize | Prepare | Evaluate
+Arguments = Synthesize | Prepare | Train | Evaluate
 
 
 def _processes(workers: int) -> Callable[..., Any]:
@@ -114,7 +126,7 @@ def main(args: Arguments) -> int:
     except KeyboardInterrupt:
         print("\nstopped; finished rooms are kept: the same command goes on from there", file=sys.stderr)
         return 130
-    except (ValueError, OSError, WorkerError) as error:
+    except (ValueError, OSError, WorkerError, TrainingError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0

@@ -1,14 +1,22 @@
 """scripts/s3dis.py from synthetic rooms to the table."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 from perception.s3dis.categories import SCORED
-from tests.test_perception.s3dis_tree import LINES, write_tree
+from perception.s3dis.presets import ROWS
+from perception.s3dis.room import room_path
+from perception.segmentation.weights import load_network, load_record
+from tests.test_perception.s3dis_tree import LINES, told_by_colour_room, write_tree
 from tests.test_scripts import load
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture
@@ -66,6 +74,8 @@ def test_remarks_are_printed(script: ModuleType, tmp_path: Path, capsys: pytest.
         (["prepare", "--raw", "broken", "--out", "out", "--workers", "0"], "workers must be at least 1, got 0"),
         (["synthesize", "--out", "out", "--rooms", "0"], "rooms must be at least 1, got 0"),
         (["synthesize", "--out", "out", "--density", "-1"], "density must be positive"),
+        (["train", "--rooms", "nowhere", "--steps", "1"], "nowhere holds no room of area 1, 2, 3, 4, 6"),
+        (["evaluate", "--rooms", "nowhere", "--weights", "lost"], "nowhere holds no room of area 5"),
         (["evaluate", "--rooms", "nowhere", "--predictions", "ground_truth"], "nowhere holds no room of area 1, 2"),
     ],
 )
@@ -86,6 +96,22 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(
     assert not list((tmp_path / "out").rglob("rooms.json"))
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["evaluate", "--rooms", "nowhere"], "give either weights or predictions"),
+        (["evaluate", "--rooms", "x", "--predictions", "ground_truth", "--weights", "y"], "give either weights or"),
+        (["train", "--rooms", "nowhere", "--held-out", "-1"], "held_out must be 0 or more, got -1"),
+    ],
+)
+def test_arguments_that_do_not_go_together_are_named(
+    script: ModuleType, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        call(script, *arguments)
+    assert message in capsys.readouterr().err
+
+
 def test_a_tree_of_another_seed_is_not_mixed(
     script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -104,3 +130,76 @@ def test_ctrl_c_says_how_to_go_on(
     monkeypatch.setattr(script, "find_raw_rooms", interrupted)
     assert call(script, "prepare", "--raw", tmp_path, "--out", tmp_path) == 130
     assert "the same command goes on from there" in capsys.readouterr().err
+
+
+@pytest.fixture
+def small_rooms(tmp_path: Path) -> Path:
+    """Return a folder of six rooms of cubes, one of an area."""
+    for area in range(1, 7):
+        room = told_by_colour_room(area, f"Area_{area}/office_1", points=150)
+        room.save(room_path(tmp_path / "rooms", room.name))
+    return tmp_path / "rooms"
+
+
+def test_train_and_evaluate_print_table_1_with_our_row(
+    script: ModuleType, small_rooms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    train = ("train", "--rooms", small_rooms, "--row", "dgcnn-new", "--budget", "small", "--out", out, "--seed", 3)
+    train += ("--points", 64, "--batch", 2, "--held-out", 1, "--threads", 1)
+    assert call(script, *train, "--steps", 2) == 0
+    assert str(out / "weights.safetensors") in capsys.readouterr().out
+    assert call(script, *train, "--steps", 2) == 0  # nothing is left to do
+    assert call(script, *train, "--steps", 3) == 2
+    assert "belongs to another training (steps: 2 there, 3 here)" in capsys.readouterr().err
+    judged = ("evaluate", "--rooms", small_rooms, "--weights", out / "weights.safetensors", "--json", tmp_path / "e")
+    assert call(script, *judged, "--workers", 2) == 0
+    table = capsys.readouterr().out
+    assert "last row: 1 rooms" in table  # of Area 5 alone
+    assert [line.split("  ")[0] for line in table.splitlines() if "  " in line][1:6] == [
+        "SGPN (PointNet, colour)", "paper (DGCNN, colour)", "paper (DGCNN, new loss)",
+        "paper (DGCNN, colour, new loss)", "dgcnn-new",
+    ]  # fmt: skip
+    found = json.loads((tmp_path / "e").read_text())
+    assert {"ap50", "mean_ap50", "ap25", "ap"} <= found.keys()
+    assert (found["training"]["row"], found["training"]["steps"]) == ("dgcnn-new", 2)
+    assert call(script, *judged, "--workers", 1, "--areas", 1, 2, "--threshold", 5.0, "--population", "blocks") == 0
+    assert "last row: 2 rooms" in capsys.readouterr().out
+
+
+def test_the_table_trains_every_row_and_goes_on_with_more_seeds(
+    small_rooms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script, out = load("s3dis_table.py"), tmp_path / "table"
+
+    def make(*arguments: object) -> int:
+        given = ["--rooms", small_rooms, "--out", out, "--points", 64, "--batch", 2, "--held-out", 1, *arguments]
+        return int(script.main(script.tyro.cli(script.Arguments, args=[str(argument) for argument in given])))
+
+    assert make("--steps", 1, "--seeds", 1, "--workers", 2, "--json", tmp_path / "t.json") == 0
+    text = capsys.readouterr().out
+    for row in ("SGPN (PointNet, colour)", *ROWS, "gain on sgpn-colour"):
+        assert row in text
+    first = json.loads((tmp_path / "t.json").read_text())
+    assert [row["row"] for row in first["rows"]] == list(ROWS)
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*.json")}
+    assert make("--steps", 1, "--seeds", 1, "--workers", 1, "--json", tmp_path / "t.json") == 0
+    assert json.loads((tmp_path / "t.json").read_text())["rows"] == first["rows"]
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*.json")} == before
+    capsys.readouterr()
+    assert make("--steps", 2, "--seeds", 1) == 2
+    assert "holds trainings of another configuration" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_two_processes_train_one_row_and_one_of_them_writes(small_rooms: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    command += [str(ROOT / "scripts" / "s3dis.py"), "train", "--rooms", str(small_rooms), "--row", "sgpn-colour"]
+    command += ["--budget", "small", "--steps", "2", "--batch", "2", "--points", "32", "--held-out", "1"]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    out = tmp_path / "runs" / "s3dis-sgpn-colour-small-0"
+    assert len((out / "log.jsonl").read_text().splitlines()) == 1
+    assert load_record(out / "weights.safetensors")["steps"] == 2
+    load_network(out / "weights.safetensors")

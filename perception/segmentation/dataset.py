@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -35,13 +35,33 @@ class Batch(NamedTuple):
         inputs: Of the network: points (B, N, 3) in units of d_max, or :class:`GridInputs`.
         points_BN3: The points in units of d_max, camera axes.
         instance_ids_BN: -1 for the container and for filling.
-        offsets_BN3: From each point to its part's centre, in units of d_max.
+        offsets_BN3: From each point to its part's centre, in units of d_max; None where they are not taught.
+        class_ids_BN: Semantic classes; None for the single class of a bin of parts.
     """
 
     inputs: Tensor | GridInputs
     points_BN3: Tensor
     instance_ids_BN: Tensor
-    offsets_BN3: Tensor
+    offsets_BN3: Tensor | None = None
+    class_ids_BN: Tensor | None = None
+
+
+class BatchSource(Protocol):
+    """What a training takes its batches from: parts in bins here, rooms in :mod:`perception.s3dis.dataset`."""
+
+    @property
+    def scenes(self) -> Sequence[object]:
+        """Return what samples are drawn of; an epoch draws as many."""
+
+    @property
+    def rank(self) -> int:
+        """Return which of the processes that train together this is."""
+
+    def digest(self) -> str:
+        """Return what tells these scenes from others."""
+
+    def __call__(self, step: int) -> Batch:
+        """Return the batch of ``step``: the same bits at every call."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ class RunConfig:
         evaluate_every: Minutes of training between evaluations.
         save_every: Minutes of training between checkpoints.
         leader: Whether this process writes; one of several that train together does.
-        sources: What the scenes are, for the record; see :func:`perception.segmentation.dataset.scene_sources`.
+        sources: What the scenes are, and what else to record; :func:`perception.segmentation.dataset.scene_sources`.
     """
 
     out: Path
@@ -45,7 +45,7 @@ class RunConfig:
     evaluate_every: float = 10.0
     save_every: float = 2.0
     leader: bool = True
-    sources: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    sources: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.parts:
@@ -56,6 +56,7 @@ class RunConfig:
 
 
 Log = dict[str, Any]
+Judge = Callable[[Network], dict[str, float]]  # what an evaluation finds
 
 
 def resume(trainer: Trainer, config: RunConfig) -> bool:
@@ -77,7 +78,7 @@ def resume(trainer: Trainer, config: RunConfig) -> bool:
 
 def train(
     trainer: Trainer,
-    validation: Sequence[Path],
+    validation: Sequence[Path] | Judge,
     config: RunConfig,
     on_step: Callable[[StepRecord], None] | None = None,
     on_evaluation: Callable[[Log], None] | None = None,
@@ -86,7 +87,7 @@ def train(
 
     Args:
         trainer: Fresh, or resumed.
-        validation: Scene files that are not trained on; without any, nothing is evaluated.
+        validation: Scene files that are not trained on, or whatever else judges a network; without, nothing does.
         config: Where and how often.
         on_step: Called after each step.
         on_evaluation: Called with each line of the log.
@@ -163,14 +164,16 @@ def validate(network: Network, paths: Sequence[Path], distance: str = "l2") -> d
 
 def _log_line(
     trainer: Trainer,
-    validation: Sequence[Path],
+    validation: Sequence[Path] | Judge,
     config: RunConfig,
     losses: Sequence[dict[str, float]],
     on_evaluation: Callable[[Log], None] | None,
 ) -> Log:
     means = {name: float(np.mean([loss[name] for loss in losses])) for name in (losses[0] if losses else ())}
     line: Log = {"step": trainer.step, "minutes": trainer.elapsed / 60, "losses": means}
-    if validation:
+    if callable(validation):
+        line["validation"] = validation(trainer.best_network())
+    elif validation:
         line["validation"] = validate(trainer.best_network(), validation, trainer.config.pairs.distance)
     config.out.mkdir(parents=True, exist_ok=True)
     with (config.out / LOG).open("a") as file:

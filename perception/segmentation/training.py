@@ -5,12 +5,13 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from perception.segmentation.dataset import Batch, BatchMaker
+from perception.segmentation.dataset import Batch, BatchSource
 from perception.segmentation.grid_net import GridNet
 from perception.segmentation.losses import confidence_loss, offset_loss, pair_loss, semantic_loss
 from perception.segmentation.output import PointOutputs
@@ -68,7 +69,7 @@ class Trainer:
     """State and loop of one training; ``torch.distributed``'s processes each hold one, rank by rank."""
 
     def __init__(
-        self, config: TrainingConfig, batches: BatchMaker, length: Length, device: torch.device | str = "cpu"
+        self, config: TrainingConfig, batches: BatchSource, length: Length, device: torch.device | str = "cpu"
     ) -> None:
         """Build network and optimizer; nothing is trained yet.
 
@@ -180,20 +181,26 @@ class Trainer:
         seed = np.random.SeedSequence([config.seed, self.batches.rank, self.step, 1]).generate_state(1)[0]
         chance = torch.Generator(device=self.device).manual_seed(int(seed))
         ids, embedding = batch.instance_ids_BN, outputs.embedding_BNF.float()
-        alpha = config.alpha(self.epoch)
+        # A bin of one part has one class: its semantic loss is 0, and no pair is of two classes.
+        classes = ids.clamp(max=0) if batch.class_ids_BN is None else batch.class_ids_BN
+        pairs = pair_loss(
+            embedding,
+            ids,
+            config.pairs,
+            config.alpha(self.epoch),
+            generator=chance,
+            class_ids_BN=batch.class_ids_BN,
+            points_BN3=batch.points_BN3,
+        )
         terms = {
-            "pairs": (
-                1.0,
-                pair_loss(embedding, ids, config.pairs, alpha, generator=chance, points_BN3=batch.points_BN3),
-            ),
+            "pairs": (1.0, pairs),
             "confidence": (
                 config.confidence_weight,
                 confidence_loss(outputs.confidence_BN.float(), embedding, ids, config.pairs, generator=chance),
             ),
-            # 0 with one class, as in a bin of one part; the classes are then all 0.
-            "semantics": (config.semantic_weight, semantic_loss(outputs.semantics_BNS.float(), ids.clamp(max=0))),
+            "semantics": (config.semantic_weight, semantic_loss(outputs.semantics_BNS.float(), classes)),
         }
-        if outputs.offsets_BN3 is not None:
+        if outputs.offsets_BN3 is not None and batch.offsets_BN3 is not None:
             terms["offsets"] = (config.offset_weight, offset_loss(outputs.offsets_BN3, batch.offsets_BN3, ids))
         return terms
 
@@ -243,7 +250,8 @@ def to_device(batch: Batch, device: torch.device) -> Batch:
     """Return the batch on ``device``."""
     inputs = batch.inputs
     moved = inputs.to(device) if isinstance(inputs, Tensor) else type(inputs)(*(array.to(device) for array in inputs))
-    return Batch(moved, *(array.to(device) for array in batch[1:]))
+    others: list[Any] = [None if array is None else array.to(device) for array in batch[1:]]
+    return Batch(moved, *others)
 
 
 def _optimizer(config: TrainingConfig, network: nn.Module) -> torch.optim.Optimizer:

@@ -1,6 +1,7 @@
 """Small trees and rooms for the tests of S3DIS."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,3 +39,14 @@ def boxes_room(
         semantic=np.repeat(categories, points),
         instance=np.repeat(np.arange(len(objects), dtype=np.int32), points),
     )
+
+
+def told_by_colour_room(seed: int = 31, name: str = "Area_5/office_1", points: int = 400) -> Room:
+    """Return a room of cubes whose red is the object and whose green is the category: what a network should say."""
+    rng = np.random.default_rng(seed)
+    kinds = ("chair", "chair", "table", "board", "sofa", "clutter", "door", "column", "chair")[: 6 + seed % 3]
+    places = rng.permutation(12)[: len(kinds)]
+    objects = [(kind, (0.6 * (at % 4), 0.6 * (at // 4), 0.0)) for kind, at in zip(kinds, places.tolist(), strict=True)]
+    room = boxes_room(objects, points, seed, name)
+    rgb = np.column_stack([room.instance, room.semantic, np.full(len(room), 7)]).astype(np.uint8)
+    return replace(room, rgb=rgb)

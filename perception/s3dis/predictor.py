@@ -1,0 +1,207 @@
+"""Rooms in, objects out: a trained network on every point of every block, grouping, merging of blocks."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from perception.s3dis.blocks import BlockConfig, BlockSample, RoomFrame, cover_room, point_features
+from perception.s3dis.categories import CATEGORIES
+from perception.s3dis.dataset import sees_colour
+from perception.s3dis.merging import BlockMerger, MergeConfig, SampleGroups
+from perception.s3dis.room import Room
+from perception.segmentation.group_merging import GroupMergingConfig, merge_groups
+from perception.segmentation.grouping import GroupingConfig, Groups, group_points
+from perception.segmentation.instance import Instance
+from perception.segmentation.losses import PairLossConfig
+from perception.segmentation.output import PointOutputs
+from perception.segmentation.sgpn import SgpnConfig
+from perception.segmentation.weights import WeightsError, load_network, load_record
+
+PointNetwork = Callable[[torch.Tensor], PointOutputs]
+LEAST_OF_4096 = 50  # points of a group, of a sample of 4096 (released code)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoomPredictorConfig:
+    """How a trained network is used.
+
+    Attributes:
+        grouping: Of a sample's points by their embedding: ours, or SGPN's GroupMerging, category by category.
+        blocks: How a room is cut; samples are as large as in training.
+        merging: Of the blocks.
+        min_sizes: (13,) points that an object of each category must have; all stay unless given.
+        colour: Whether the network sees it.
+        batch: Samples that go through the network at once.
+    """
+
+    grouping: GroupingConfig | GroupMergingConfig = field(default_factory=lambda: sample_grouping(4096))
+    blocks: BlockConfig = field(default_factory=BlockConfig)
+    merging: MergeConfig = field(default_factory=MergeConfig)
+    min_sizes: tuple[float, ...] | None = None
+    colour: bool = True
+    batch: int = 4
+
+    def __post_init__(self) -> None:
+        if self.batch < 1:
+            raise ValueError(f"batch must be at least 1, got {self.batch}")
+        if self.min_sizes is not None and len(self.min_sizes) != len(CATEGORIES):
+            raise ValueError(f"min_sizes must be {len(CATEGORIES)} numbers, got {len(self.min_sizes)}")
+
+
+def sample_grouping(points: int, pairs: PairLossConfig | None = None, threshold: float | None = None) -> GroupingConfig:
+    """Return how the points of a sample of ``points`` are grouped after a training with ``pairs``.
+
+    Args:
+        points: Of a sample; groups may be as small, in proportion, as in SGPN's code.
+        pairs: Of the training.
+        threshold: Embedding distance; unless given, what the loss counts as grouped.
+    """
+    pairs = pairs or PairLossConfig()
+    return GroupingConfig(
+        threshold=pairs.threshold if threshold is None else threshold,
+        distance=pairs.distance,
+        d_max=False,
+        min_points=max(1, round(points * LEAST_OF_4096 / 4096)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SampleOutputs:
+    """What a network says about the P points of a sample, of which the first ``sample.distinct`` differ.
+
+    Attributes:
+        sample: Which points.
+        embedding: (P, F) float32.
+        confidence: (P,) float32 in [0, 1].
+        categories: (P,) int64, the likeliest.
+    """
+
+    sample: BlockSample
+    embedding: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    categories: NDArray[np.int64]
+
+
+def describe_room(
+    network: PointNetwork,
+    room: Room,
+    rng: np.random.Generator,
+    config: RoomPredictorConfig,
+    device: torch.device | str = "cpu",
+) -> Iterator[SampleOutputs]:
+    """Yield what the network says of samples that hold every point of a room, block by block."""
+    frame = RoomFrame.of(room.xyz)
+    coming = cover_room(room.xyz, config.blocks, rng)
+    while samples := list(islice(coming, config.batch)):
+        points = np.stack([point_features(room, frame, sample, config.colour) for sample in samples])
+        with torch.inference_mode():
+            said = network(torch.from_numpy(points).to(device))
+            category_BN = said.semantics_BNS.argmax(dim=2)
+            arrays = [a.cpu().numpy() for a in (said.embedding_BNF.float(), said.confidence_BN.float(), category_BN)]
+        for k, sample in enumerate(samples):
+            yield SampleOutputs(sample, *(array[k] for array in arrays))
+
+
+def group_sample(
+    said: SampleOutputs, xyz: NDArray[np.float32], grouping: GroupingConfig | GroupMergingConfig
+) -> SampleGroups:
+    """Return the groups of a sample's distinct points; ``xyz`` are the room's."""
+    rows = slice(said.sample.distinct)
+    idx = said.sample.point_idx[rows]
+    embedding, confidence, categories = said.embedding[rows], said.confidence[rows], said.categories[rows]
+    groups: Groups
+    if isinstance(grouping, GroupMergingConfig):
+        groups = merge_groups(embedding, confidence, xyz[idx], grouping, classes=categories)
+    else:
+        groups = group_points(embedding, confidence, xyz[idx], np.inf, grouping)
+    return SampleGroups(point_idx=idx, groups=groups.labels, categories=categories, confidences=confidence)
+
+
+def merge_samples(said: Iterable[SampleOutputs], room: Room, config: RoomPredictorConfig) -> list[Instance]:
+    """Return the objects of a room, best confidence first."""
+    return merge_samples_at([config.grouping], said, room, config)[0]
+
+
+def merge_samples_at(
+    groupings: Sequence[GroupingConfig | GroupMergingConfig],
+    said: Iterable[SampleOutputs],
+    room: Room,
+    config: RoomPredictorConfig,
+) -> list[list[Instance]]:
+    """Return the objects of a room for each grouping; the network runs once."""
+    mergers = [BlockMerger(room.xyz, config.merging) for _ in groupings]
+    for sample in said:
+        for merger, grouping in zip(mergers, groupings, strict=True):
+            merger.add(group_sample(sample, room.xyz, grouping))
+    min_sizes = None if config.min_sizes is None else np.array(config.min_sizes)
+    return [merger.instances(min_sizes) for merger in mergers]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoomPredictor:
+    """Predicts rooms with the weights of a file; it can be sent to another process, which loads them itself.
+
+    Attributes:
+        weights: A ``.safetensors`` file of a training on rooms.
+        config: How to use them.
+        device: Where the network runs.
+    """
+
+    weights: Path
+    config: RoomPredictorConfig
+    device: str = "cpu"
+
+    @classmethod
+    def from_file(cls, weights: Path, device: str = "cpu", threshold: float | None = None) -> "RoomPredictor":
+        """Use weights as their record says.
+
+        Args:
+            weights: A file that a training has written.
+            device: Where.
+            threshold: Of the grouping; unless given, the one chosen on held-out rooms, or else what the loss says.
+
+        Raises:
+            WeightsError: The file holds no network of this project, or one that was not trained on rooms.
+        """
+        return cls(weights=weights, config=config_of(weights, load_record(weights), threshold), device=device)
+
+    def __call__(self, room: Room, rng: np.random.Generator) -> list[Instance]:
+        """Return the objects of a room, best confidence first; ``rng`` shares out its points among samples."""
+        network = _network(self.weights, self.weights.stat().st_mtime_ns, self.device)
+        return merge_samples(describe_room(network, room, rng, self.config, self.device), room, self.config)
+
+    def with_grouping(self, grouping: GroupingConfig | GroupMergingConfig) -> "RoomPredictor":
+        """Return the same with another grouping."""
+        return replace(self, config=replace(self.config, grouping=grouping))
+
+
+def config_of(weights: Path, record: dict[str, Any], threshold: float | None = None) -> RoomPredictorConfig:
+    """Return how a network is used after the training that its record describes; see `RoomPredictor.from_file`.
+
+    Raises:
+        WeightsError: It was not trained on rooms.
+    """
+    try:
+        training, chosen = record["training"], (record["validation"] or {}).get("threshold")
+        pairs, points = PairLossConfig(**training["pairs"]), int(training["points"])
+        return RoomPredictorConfig(
+            grouping=sample_grouping(points, pairs, chosen if threshold is None else threshold),
+            blocks=BlockConfig(points=points),
+            min_sizes=tuple(float(record["min_sizes"][name]) for name in CATEGORIES),
+            colour=sees_colour(SgpnConfig(in_channels=record["network"]["in_channels"])),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise WeightsError(f"{weights} holds no network of a training on rooms ({error!r})") from error
+
+
+@lru_cache(maxsize=2)
+def _network(weights: Path, written: int, device: str) -> torch.nn.Module:  # noqa: ARG001
+    """Return the network of a file as it is since ``written``."""
+    return load_network(weights).to(device)
