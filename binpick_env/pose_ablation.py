@@ -25,7 +25,7 @@ from binpick_env.synthesis import SceneConfig, scene_note
 from perception.geometry import Floats
 from perception.metrics.average_precision import percentile_interval
 from perception.pose.bodies import BodyConfig
-from perception.pose.estimator import EstimatorConfig
+from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.viewpoints import VIEW_COUNTS
 from perception.provenance import command_line, git_commit, versions
 

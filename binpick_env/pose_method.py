@@ -12,7 +12,8 @@ from binpick_env.segmentation_method import MethodConfig, segmenter
 from perception.boundary import BoundaryCloud
 from perception.frame import Frame
 from perception.part import PartModel
-from perception.pose.estimator import EstimatorConfig, PoseEstimate, PoseEstimator
+from perception.pose.estimator import PoseEstimate, PoseEstimator
+from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.explanation import ExplanationConfig
 from perception.pose.surface_model import SurfaceModel
 from perception.segmentation.grouping import GroupingConfig

@@ -24,7 +24,7 @@ from binpick_env.segmentation_summary import save_summary
 from binpick_env.settle import SettleError
 from binpick_env.synthesis import SceneConfig
 from perception.pose.appearances import edge_appearances
-from perception.pose.estimator import EstimatorConfig
+from perception.pose.estimator_config import EstimatorConfig
 from perception.segmentation.weights import find_weights
 
 

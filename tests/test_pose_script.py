@@ -92,7 +92,7 @@ def test_it_prints_the_ablation(tmp_path: Path) -> None:
     for row in ("full method", "pairs of edges never seen together", "1 view", "6 views", "26 views"):
         assert f"\n{row}" in done.stdout
     numbers = json.loads((out / "results.json").read_text())
-    assert len(numbers["rows"]) == 10
+    assert len(numbers["rows"]) == 11
     assert numbers["rows"][0]["recognition_rate"] == 1.0
     assert numbers["rows"][1]["against_full"].keys() == {"recognition_rate", "recall", "precision"}
 

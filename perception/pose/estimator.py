@@ -5,7 +5,7 @@ are clustered modulo symmetry, scored, refined and verified.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,19 +16,20 @@ from perception.part import PartModel
 from perception.pose._verification_kernels import near_points
 from perception.pose.appearances import EdgeAppearances, edge_appearances
 from perception.pose.arrangement import arrange
-from perception.pose.bodies import BodyConfig, body_model
+from perception.pose.bodies import body_model
 from perception.pose.boundary_index import BoundaryIndex, index_boundary
-from perception.pose.clustering import ClusterConfig, are_alike, cluster_poses
-from perception.pose.confidence import ConfidenceConfig, confidence
-from perception.pose.edge_models import EdgeModelConfig, edge_model
+from perception.pose.clustering import are_alike, cluster_poses
+from perception.pose.confidence import confidence
+from perception.pose.edge_models import edge_model
+from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.firmness import firmness, small_turns
-from perception.pose.pair_features import PairConfig, build_table
-from perception.pose.refinement import EdgeRefinement, SurfaceRefinement, refine_edges, refine_surface
+from perception.pose.pair_features import build_table
+from perception.pose.refinement import refine_edges, refine_surface
 from perception.pose.surface_model import SurfaceModel, surface_model
 from perception.pose.thinning import thin_points
-from perception.pose.twins import TwinConfig, part_twins
-from perception.pose.verification import Verdict, VerificationConfig, verify
-from perception.pose.voting import RawPoses, VoteConfig, vote
+from perception.pose.twins import part_twins
+from perception.pose.verification import Verdict, verify
+from perception.pose.voting import RawPoses, vote
 from perception.segmentation.instance import Instance
 from perception.threads import in_threads
 
@@ -64,65 +65,6 @@ class PoseEstimate:
         require_shape("T_cam_part", self.T_cam_part, (4, 4))
         if not 0 <= self.score <= 1:
             raise ValueError(f"score must be in [0, 1], got {self.score}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class EstimatorConfig:
-    """How poses are found.
-
-    Attributes:
-        edges: What an edge is, and from how many views pairs are taken.
-        pairs: Features and table.
-        votes: Accumulator.
-        clusters: When two poses are one.
-        quick_step: Of the edge points of a view, every so many are used to look at a hypothesis ...
-        quick_spacing: ... and points of the surface that lie so far apart, as a share of d_max.
-        quick_edges: Refinement of every hypothesis, on edges ...
-        quick_surface: ... and on the surface.
-        edge_refinement: Of those that are left.
-        surface_refinement: Of those that are left.
-        verification: Tolerances, and the evidence that hypotheses are ranked by.
-        confidence: How sure the best one is.
-        bodies: What the poses of a scene cannot be at once, and where no part can be.
-        twins: Turns after which the part looks nearly the same.
-        hypotheses: Clusters of raw poses that are looked at for each group, those with most votes first ...
-        most_hypotheses: ... and up to this many while none has the score ``sure``.
-        sure: See ``most_hypotheses``.
-        finalists: Of these, best scores first, that are refined to the end.
-        scene_hypotheses: Clusters that are looked at where a whole scene is searched.
-        min_score: A pose with this score is verified.
-    """
-
-    edges: EdgeModelConfig = field(default_factory=EdgeModelConfig)
-    pairs: PairConfig = field(default_factory=PairConfig)
-    votes: VoteConfig = field(default_factory=VoteConfig)
-    clusters: ClusterConfig = field(default_factory=ClusterConfig)
-    quick_step: int = 2
-    quick_spacing: float = 0.06
-    quick_edges: EdgeRefinement = field(default_factory=lambda: EdgeRefinement(gates=(0.05, 0.03), iterations=4))
-    quick_surface: SurfaceRefinement = field(default_factory=SurfaceRefinement)
-    edge_refinement: EdgeRefinement = field(default_factory=EdgeRefinement)
-    surface_refinement: SurfaceRefinement = field(default_factory=SurfaceRefinement)
-    verification: VerificationConfig = field(default_factory=VerificationConfig)
-    confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)
-    bodies: BodyConfig = field(default_factory=BodyConfig)
-    twins: TwinConfig = field(default_factory=TwinConfig)
-    hypotheses: int = 4
-    most_hypotheses: int = 12
-    sure: float = 0.9
-    finalists: int = 2
-    scene_hypotheses: int = 100
-    min_score: float = 0.93
-
-    def __post_init__(self) -> None:
-        for name in ("quick_step", "hypotheses", "most_hypotheses", "finalists", "scene_hypotheses"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.most_hypotheses < self.hypotheses:
-            raise ValueError(f"most_hypotheses must be at least {self.hypotheses}, got {self.most_hypotheses}")
-        for name in ("min_score", "sure"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be in [0, 1], got {getattr(self, name)}")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

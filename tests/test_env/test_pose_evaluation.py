@@ -25,7 +25,8 @@ from binpick_env.synthesis import SceneConfig, make_scene
 from perception.boundary import BoundaryCloud
 from perception.frame import Frame
 from perception.part import PartModel
-from perception.pose.estimator import EstimatorConfig, PoseEstimate
+from perception.pose.estimator import PoseEstimate
+from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.surface_model import surface_model
 from perception.pose.verification import Verdict
 from perception.segmentation.grid_net import GridNet, GridNetConfig

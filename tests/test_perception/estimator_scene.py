@@ -14,7 +14,8 @@ from perception.geometry import Floats, project_points
 from perception.part import PartModel
 from perception.pose import appearances, estimator
 from perception.pose.confidence import ConfidenceConfig
-from perception.pose.estimator import EstimatorConfig, PoseEstimator
+from perception.pose.estimator import PoseEstimator
+from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.verification import VerificationConfig
 from perception.segmentation.instance import Instance
 

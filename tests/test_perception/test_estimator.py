@@ -16,7 +16,8 @@ from perception.metrics.pose_error import pose_error
 from perception.part import PartModel
 from perception.pose import estimator as module
 from perception.pose.confidence import ConfidenceConfig, confidence
-from perception.pose.estimator import EstimatorConfig, PoseEstimate, PoseEstimator
+from perception.pose.estimator import PoseEstimate, PoseEstimator
+from perception.pose.estimator_config import EstimatorConfig
 from perception.segmentation.instance import Instance
 from perception.threads import use_threads
 
