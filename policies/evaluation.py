@@ -133,9 +133,9 @@ def bin_seed(seed: int, index: int) -> int:
     return int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
 
 
-def scripted_cell(config: EvaluationConfig) -> Cell:
-    """Build the cell with the scripted picker; the camera casts on one thread, see `perception.threads`."""
-    env = WatchedEnv(
+def watched_env(config: EvaluationConfig) -> WatchedEnv:
+    """Build the environment that films and recordings can watch; on one thread, see `perception.threads`."""
+    return WatchedEnv(
         part=config.load_part(),
         num_parts=config.num_parts,
         perception=config.perception,
@@ -145,6 +145,11 @@ def scripted_cell(config: EvaluationConfig) -> Cell:
         render_mode="rgb_array",
         threads=1,
     )
+
+
+def scripted_cell(config: EvaluationConfig) -> Cell:
+    """Build the cell with the scripted picker."""
+    env = watched_env(config)
     return Cell(env, ScriptedPicker(env, config.picker))
 
 

@@ -13,36 +13,26 @@ from binpick_env.text_tables import columns
 from perception.files import json_text, write_atomically
 from perception.geometry import Floats
 from perception.provenance import command_line, versions
-from policies.evaluation import Cell, EvaluationConfig
+from policies.evaluation import Cell, EvaluationConfig, watched_env
 from policies.jobs import Job, run_job
 from policies.outcomes import GraspOutcome
 from policies.records import BinRecord
 from policies.scripted import ScriptedPicker
 from policies.selectors import SELECTORS, SelectorPicker, load_selector, selector_path
 from policies.statistics import Rate, paired_ratio_difference, rate
-from policies.video import WatchedEnv
 
 Records = dict[str, list[BinRecord]]  # by the selector's name, bins in order
 Gap = tuple[float, float, float]  # difference of two rates with its 95 % interval
 
 
 def selector_cell(spec: str, config: EvaluationConfig) -> Cell:
-    """Build a cell in which a selector chooses; the camera casts on one thread.
+    """Build a cell in which a selector chooses.
 
     Args:
         spec: Name of a heuristic, or path to a trained selector.
         config: Of the cell.
     """
-    env = WatchedEnv(
-        part=config.load_part(),
-        num_parts=config.num_parts,
-        perception=config.perception,
-        sensor=config.sensor,
-        camera=config.camera,
-        pose_noise=config.pose_noise,
-        render_mode="rgb_array",
-        threads=1,
-    )
+    env = watched_env(config)
     return Cell(env, SelectorPicker(env, load_selector(spec), ScriptedPicker(env, config.picker)))
 
 
