@@ -17,7 +17,8 @@ from perception.pose import estimator as module
 from perception.pose.bodies import BodyConfig
 from perception.pose.confidence import confidence
 from perception.pose.estimator import PoseEstimate, PoseEstimator
-from perception.pose.twins import TwinConfig
+from perception.pose.surface_model import surface_model
+from perception.pose.twins import TwinConfig, part_twins
 from perception.segmentation.instance import Instance
 
 ELL = at.ell()
@@ -314,3 +315,13 @@ def test_a_pose_that_was_ruled_out_does_not_come_back_as_the_twin_of_the_next_be
     assert is_at(second, DEEP[1])
     assert first is None or not every_twin.clash(first.T_cam_part, DEEP[1])
     assert len(every_twin.estimate(scene.boundary, scene.groups(), turned_world(scene))) == 2
+
+
+@pytest.mark.parametrize(("most", "found"), [(3, True), (0, False)])
+def test_the_twin_of_a_pose_is_looked_at(most: int, found: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    twin = part_twins(ELL, surface_model(ELL))[0]
+    estimator = quick_estimator(ELL, replace(CONFIG, twins=TwinConfig(most=most, lead=50.0)))
+    # All that the votes give is the twin of the truth.
+    monkeypatch.setattr(estimator, "_heads", lambda raw: (LEANING @ np.linalg.inv(twin))[None])
+    scene = scene_of(ELL, LEANING)
+    assert is_at(groups_of(scene, estimator)[0], LEANING) == found

@@ -1,10 +1,12 @@
 """The turns after which a part looks nearly the same."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import trimesh
 
-from perception.geometry import rotation_angle
+from perception.geometry import Floats, make_transform, rotation_about, rotation_angle
 from perception.part import PartModel, Symmetry
 from perception.pose.surface_model import surface_model
 from perception.pose.twins import TwinConfig, part_twins
@@ -43,6 +45,30 @@ def test_twins_lay_the_surface_on_itself() -> None:
         moved = surface.points @ T[:3, :3].T + T[:3, 3]
         _, distances, _ = trimesh.proximity.closest_point_naive(part.mesh, moved[::7])
         assert distances.mean() < 0.01 * part.d_max
+
+
+def gap(part: PartModel, T: Floats) -> float:
+    """Return the mean distance of the moved part's surface from the part [m]."""
+    surface = surface_model(part)
+    moved = surface.points @ T[:3, :3].T + T[:3, 3]
+    return float(trimesh.proximity.closest_point_naive(part.mesh, moved[::3])[1].mean())
+
+
+def test_a_twin_lies_better_than_the_turn_it_began_as() -> None:
+    part = block(0.08, 0.05, 0.03, cut=0.016)  # its lump draws the centre aside
+    axes = np.asarray(part.mesh.principal_inertia_vectors)
+    for T in part_twins(part, surface_model(part)):
+        turns = [rotation_about(axis, np.pi) for axis in axes]
+        turn = min(turns, key=lambda turn: rotation_angle(turn.T @ T[:3, :3]))
+        assert gap(part, T) < 0.95 * gap(part, make_transform(turn, part.centre - turn @ part.centre))
+
+
+def test_the_most_alike_come_first() -> None:
+    part = block(0.08, 0.05, 0.047, cut=0.012)
+    gaps = [gap(part, T) for T in part_twins(part, surface_model(part), TwinConfig(most=8, distance=0.1))]
+    assert len(gaps) > 3
+    assert gaps[-1] > 1.2 * gaps[0]
+    assert all(after > 0.9 * before for before, after in pairwise(gaps))
 
 
 def test_symmetries_are_no_twins() -> None:
