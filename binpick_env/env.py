@@ -24,12 +24,18 @@ from binpick_env.settle import drop_and_settle
 from binpick_env.shading import Light
 from binpick_env.sighting import Sighting
 from binpick_env.simulation import Simulation
+from binpick_env.snapshot import NOBODY, Snapshot, moved_judge
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, quat_from_matrix
 
 Observation = dict[str, NDArray[Any]]
 MAX_EPISODE_STEPS = 12_000
 _NO_RESET = "there is no frame before the first reset()"
+# What an episode has beside physics, judge, random numbers and events; nothing changes it in place.
+_EPISODE = (
+    *("capture", "exposure", "sighting", "candidates", "_candidate_arrays", "render_time", "perception_time"),
+    *("_frame_id", "_frame_time", "_away", "_steps", "total", "delivered", "_np_random_seed"),
+)
 HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home that counts as back, and as having left [rad]
 
 
@@ -83,7 +89,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `part` | `"tee"` | catalogue name, path to an STL, OBJ or PLY file, or a loaded `Part` |
     | `num_parts` | `(20, 30)` | number of parts, or the range it is drawn from |
     | `perception` | `"learned"` | `"learned"` (from pixels), `"gt_masks"` (true segments) or `"oracle"` (true poses) |
-    | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"` |
+    | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"`, `"crude"` |
     | `camera` | `None` | a `CameraConfig` |
     | `pose_noise` | `None` | the oracle's: a `PoseNoise`, a `PerceptionNoise`, or `"learned"`: errors such as the learned perceiver's of this part and sensor |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
@@ -260,6 +266,32 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._require_reset()
         self._take_frame()
         return self._observe()
+
+    def snapshot(self) -> Snapshot:
+        """Return the whole state of the cell, its last frame and its random numbers included, to go back to."""
+        self._require_reset()
+        return Snapshot(
+            simulation=self.simulation.snapshot(),
+            judge=moved_judge(self._judge, self.simulation, NOBODY),
+            random=dict(self.np_random.bit_generator.state),
+            events=tuple(self.events),
+            episode={name: getattr(self, name) for name in _EPISODE},
+        )
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a state of this cell, or of another one of the same part, number of parts and settings.
+
+        The same actions then bring the same results, bit by bit, given the same perception and sensor.
+
+        Raises:
+            ValueError: It is of another cell; nothing has changed then.
+        """
+        self.simulation.restore(snapshot.simulation)
+        self._judge = moved_judge(snapshot.judge, NOBODY, self.simulation)
+        self.np_random.bit_generator.state = snapshot.random
+        self.events = list(snapshot.events)
+        for name, value in snapshot.episode.items():
+            setattr(self, name, value)
 
     # --- inside ----------------------------------------------------------------------------------------------------
 

@@ -2,10 +2,7 @@
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from binpick_env.config import CONTROL_PERIOD
-from binpick_env.robot import GRIPPER
 from binpick_env.simulation import Simulation
 from perception.geometry import Floats, invert_transform
 
@@ -22,12 +19,8 @@ class Glide:
     def __init__(self, simulation: Simulation) -> None:
         """Measure the jaw's linkage over its commands, on a copy of the state; takes about half a second."""
         self._simulation = simulation
-        model = simulation.model
-        joints = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER)]
-        self._jaw_qpos = np.array([model.jnt_qposadr[j] for j in joints])
-        self._jaw_dof = np.array([model.jnt_dofadr[j] for j in joints])
         self._commands = np.linspace(0.0, 1.0, _NODES)
-        self._postures = self._measure_jaw()
+        self._postures = simulation.jaw_postures(self._commands, _REST)
 
     def jaw_posture(self, command: float) -> Floats:
         """Return the (J,) positions [rad] of the linkage's joints at rest under a command, 0 open to 1 closed."""
@@ -38,28 +31,25 @@ class Glide:
 
         The jaw rests at ``gripper``. Contacts are those of the new place afterwards.
         """
-        simulation, data = self._simulation, self._simulation.data
-        self._put_arm(target_before, target)
-        data.qpos[self._jaw_qpos] = self.jaw_posture(gripper)
-        data.qvel[self._jaw_dof] = 0.0
-        data.qacc_warmstart[self._jaw_dof] = 0.0
-        data.ctrl[simulation._gripper_actuator] = 255.0 * gripper
-        simulation.gripper_target = gripper
+        simulation = self._simulation
+        simulation.put_arm(target_before, target)
+        simulation.put_jaw(self.jaw_posture(gripper), gripper)
         simulation.refresh()
-        mujoco.mj_collision(simulation.model, data)
+        mujoco.mj_collision(simulation.model, simulation.data)
 
     def carry(self, part: int, target: Floats) -> None:
         """Bring the arm to rest at (6,) ``target`` [rad] with ``part`` as it hangs in the jaw."""
         simulation = self._simulation
         simulation.refresh()
         T_tcp_part = invert_transform(simulation.T_world_tcp) @ simulation.part_poses()[part]
-        self._put_arm(target, target)
+        simulation.put_arm(target, target)
         simulation.refresh()
-        simulation._move(part, simulation.T_world_tcp @ T_tcp_part)
+        simulation.move(part, simulation.T_world_tcp @ T_tcp_part)
 
     def touches(self) -> bool:
         """Return whether the robot touches anything but itself."""
-        return bool(np.any(self._robot_ends()[:, 0] != self._robot_ends()[:, 1]))
+        ends = self._simulation.robot_ends()
+        return bool(np.any(ends[:, 0] != ends[:, 1]))
 
     def lone_load(self) -> int | None:
         """Return the part that both pads hold, if the robot touches no other and it touches nothing but the robot."""
@@ -69,29 +59,5 @@ class Glide:
             return None
         (part,) = held
         own = simulation.part_of_geom[simulation.data.contact.geom[: simulation.data.ncon]] == part
-        elsewhere = own.any(axis=1) & ~own.all(axis=1) & ~self._robot_ends().any(axis=1)
+        elsewhere = own.any(axis=1) & ~own.all(axis=1) & ~simulation.robot_ends().any(axis=1)
         return None if elsewhere.any() else part
-
-    def _robot_ends(self) -> NDArray[np.bool_]:
-        """Return (C, 2) which ends of the contacts are the robot's."""
-        simulation = self._simulation
-        return np.array(simulation._is_robot_geom[simulation.data.contact.geom[: simulation.data.ncon]])
-
-    def _put_arm(self, target_before: Floats, target: Floats) -> None:
-        simulation, data = self._simulation, self._simulation.data
-        # The spline through the targets runs half a control period late.
-        data.qpos[simulation._arm_qpos] = (target_before + target) / 2
-        data.qvel[simulation._arm_dof] = (target - target_before) / CONTROL_PERIOD
-        data.qacc_warmstart[simulation._arm_dof] = 0.0
-        simulation._target_before, simulation.target = np.array(target_before), np.array(target)
-
-    def _measure_jaw(self) -> Floats:
-        simulation = self._simulation
-        data = mujoco.MjData(simulation.model)
-        mujoco.mj_copyData(data, simulation.model, simulation.data)
-        postures = np.empty((_NODES, len(self._jaw_qpos)))
-        for k, command in enumerate(self._commands):
-            data.ctrl[simulation._gripper_actuator] = 255.0 * command
-            mujoco.mj_step(simulation.model, data, round(_REST / simulation.model.opt.timestep))
-            postures[k] = data.qpos[self._jaw_qpos]
-        return postures

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from binpick_env.candidates import PoseCandidate
 from binpick_env.perceiver import Exposure, make_candidate
+from binpick_env.rehearsal import rehearsal_view
 from binpick_env.sighting import Sighting
 from perception.boundary import BoundaryCloud
 from perception.frame import Workspace
@@ -24,6 +25,7 @@ from perception.threads import use_threads
 
 LIKELY = 0.5  # score of a pose that is offered where none is verified: it is rather right than wrong
 MIN_POINTS = GroupingConfig().min_points  # of a true segment: the network's smallest group
+_rehearsed: set[str] = set()  # the ways to segments for which this process has its kernels
 
 
 class PixelPerceiver:
@@ -88,7 +90,8 @@ def learned_perceiver(part: PartModel, workspace: Workspace, threads: int | None
             f"perception='learned' cannot look for {part.name!r}: {error}; without a network there are "
             "perception='gt_masks' (true segments) and 'oracle' (true poses)"
         ) from error
-    return PixelPerceiver(lambda view: pipeline.perceive(view.capture.frame), pipeline.estimator, threads)
+    perceiver = PixelPerceiver(lambda view: pipeline.perceive(view.capture.frame), pipeline.estimator, threads)
+    return _rehearse(perceiver, "learned", part, workspace)
 
 
 def gt_masks_perceiver(part: PartModel, workspace: Workspace, threads: int | None = None) -> PixelPerceiver:
@@ -105,7 +108,19 @@ def gt_masks_perceiver(part: PartModel, workspace: Workspace, threads: int | Non
 
         return perceive_by(segment, estimator, view.capture.frame, workspace)
 
-    return PixelPerceiver(see, estimator, threads)
+    return _rehearse(PixelPerceiver(see, estimator, threads), "gt_masks", part, workspace)
+
+
+def _rehearse(perceiver: PixelPerceiver, way: str, part: PartModel, workspace: Workspace) -> PixelPerceiver:
+    """Let the first perceiver of its way look once at a view that nobody waits for.
+
+    Kernels are compiled, or read from numba's cache, at their first call: 25 s, or 1 s, that are no part of a frame's
+    time.
+    """
+    if way not in _rehearsed:
+        perceiver.perceive(rehearsal_view(part, workspace), np.random.default_rng(0))
+        _rehearsed.add(way)
+    return perceiver
 
 
 def point_owners(view: Exposure, boundary: BoundaryCloud) -> NDArray[np.int64]:

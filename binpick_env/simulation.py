@@ -10,6 +10,7 @@ from binpick_env.config import CONTROL_PERIOD, CellConfig
 from binpick_env.parts import Part
 from binpick_env.robot import ARM_JOINTS, FINGER_PADS, GRIPPER, GRIPPER_ACTUATOR, HOME, TCP_SITE
 from binpick_env.scene import BIN_BODY, PART, TABLE_GEOM, TRAY_BODY, cell_spec, parking_poses
+from binpick_env.simulation_state import Origin, SimulationSnapshot
 from perception.geometry import Floats, make_transform, matrix_from_quat, quat_from_matrix
 
 ARENA = 128 << 20  # for contacts and constraints [bytes]
@@ -73,6 +74,8 @@ class Simulation:
         self._arm_qpos = np.array([model.joint(name).qposadr[0] for name in ARM_JOINTS])
         self._arm_dof = np.array([model.joint(name).dofadr[0] for name in ARM_JOINTS])
         self._gripper_actuator = model.actuator(GRIPPER_ACTUATOR).id
+        jaw = [j for j in range(model.njnt) if model.joint(j).name.startswith(GRIPPER)]
+        self._jaw_qpos, self._jaw_dof = model.jnt_qposadr[jaw], model.jnt_dofadr[jaw]
         self._driver_qpos = model.joint(GRIPPER + "right_driver_joint").qposadr[0]
         self._driver_range = model.joint(GRIPPER + "right_driver_joint").range[1]
         self._tcp = model.site(TCP_SITE).id
@@ -95,6 +98,36 @@ class Simulation:
         for i in range(self.capacity):
             self.park(i)
         mujoco.mj_forward(self.model, self.data)
+
+    def snapshot(self) -> SimulationSnapshot:
+        """Return the whole state, to go back to; takes 1 ms and half a megabyte."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_copyData(data, self.model, self.data)
+        return SimulationSnapshot(
+            origin=self._origin(),
+            data=data,
+            in_play=self.in_play.copy(),
+            target=self.target.copy(),
+            target_before=self._target_before.copy(),
+            gripper_target=self.gripper_target,
+        )
+
+    def restore(self, snapshot: SimulationSnapshot) -> None:
+        """Go back to a state of this simulation, or of another one of the same part, capacity and settings.
+
+        Raises:
+            ValueError: It is of another cell.
+        """
+        self._origin().require(snapshot.origin)
+        mujoco.mj_copyData(self.data, self.model, snapshot.data)
+        self.in_play = snapshot.in_play.copy()
+        self.model.body_gravcomp[self._part_body] = np.where(self.in_play, 0.0, 1.0)
+        self.target, self._target_before = snapshot.target.copy(), snapshot.target_before.copy()
+        self.gripper_target = snapshot.gripper_target
+
+    def _origin(self) -> Origin:
+        model = int(self.model.signature)
+        return Origin(part=self.part.model.name, parts=self.capacity, model=model, config=self.config)
 
     def refresh(self) -> None:
         """Bring the bodies' poses up to date with the joints': the last step left them one time step behind."""
@@ -159,17 +192,18 @@ class Simulation:
 
     def place(self, i: int, T_world_part: Floats) -> None:
         """Put part ``i`` into play at a pose, at rest."""
-        self._move(i, T_world_part)
+        self.move(i, T_world_part)
         self.model.body_gravcomp[self._part_body[i]] = 0.0
         self.in_play[i] = True
 
     def park(self, i: int) -> None:
         """Take part ``i`` out of play."""
-        self._move(i, self._parking[i])
+        self.move(i, self._parking[i])
         self.model.body_gravcomp[self._part_body[i]] = 1.0
         self.in_play[i] = False
 
-    def _move(self, i: int, T_world_part: Floats) -> None:
+    def move(self, i: int, T_world_part: Floats) -> None:
+        """Put part ``i`` at a pose, at rest, in play or not as it was."""
         # A changed qpos wakes a sleeping tree, and all that sleep in one island with it, at the next step.
         self.data.qpos[self._part_qpos[i]] = [*T_world_part[:3, 3], *quat_from_matrix(T_world_part[:3, :3])]
         self.data.qvel[self._part_dof[i]] = 0.0
@@ -193,6 +227,7 @@ class Simulation:
         inertial = self._inertial_torque(acceleration) / self._stiffness
         jaw_from, jaw_to = self._jaw_ramp(gripper)
         self.model.opt.noslip_iterations = self._noslip if self.gripped() else 0
+        let_go = self.touched_by_gripper() if jaw_to < jaw_from else None
         for k in range(1, self.substeps + 1):
             s = k / self.substeps
             # A uniform quadratic B-spline through the targets: smooth in velocity, half a control period late.
@@ -203,7 +238,52 @@ class Simulation:
             self.data.ctrl[self._gripper_actuator] = 255.0 * (jaw_from + s * (jaw_to - jaw_from))
             mujoco.mj_step(self.model, self.data)
         self._target_before, self.target, self.gripper_target = self.target, goal, jaw_to
+        if let_go is not None:
+            self._wake(let_go)
         self._check_finite()
+
+    # --- motion without physics ------------------------------------------------------------------------------------
+
+    def put_arm(self, target_before: Floats, target: Floats) -> None:
+        """Put the arm where :meth:`step` ends when it came from one (6,) target to the next [rad]; no time passes."""
+        # The spline through the targets runs half a control period late.
+        self.data.qpos[self._arm_qpos] = (target_before + target) / 2
+        self.data.qvel[self._arm_dof] = (target - target_before) / CONTROL_PERIOD
+        self.data.qacc_warmstart[self._arm_dof] = 0.0
+        self._target_before, self.target = np.array(target_before), np.array(target)
+
+    def put_jaw(self, posture: Floats, gripper: float) -> None:
+        """Put the (J,) joints of the jaw's linkage at rest [rad], under a command from 0 open to 1 closed."""
+        self.data.qpos[self._jaw_qpos] = posture
+        self.data.qvel[self._jaw_dof] = 0.0
+        self.data.qacc_warmstart[self._jaw_dof] = 0.0
+        self.data.ctrl[self._gripper_actuator] = 255.0 * gripper
+        self.gripper_target = gripper
+
+    def jaw_postures(self, commands: Floats, rest: float) -> Floats:
+        """Return the (N, J) positions [rad] of the jaw's joints under (N,) commands, one after the other.
+
+        Measured on a copy of the state; the jaw gets ``rest`` [s] to come to rest at each.
+        """
+        data = self.snapshot().data
+        postures = np.empty((len(commands), len(self._jaw_qpos)))
+        for k, command in enumerate(commands):
+            data.ctrl[self._gripper_actuator] = 255.0 * command
+            mujoco.mj_step(self.model, data, round(rest / self.model.opt.timestep))
+            postures[k] = data.qpos[self._jaw_qpos]
+        return postures
+
+    # --- inside ----------------------------------------------------------------------------------------------------
+
+    def _wake(self, parts: NDArray[np.bool_]) -> None:
+        """Wake those of the (capacity,) parts that sleep.
+
+        A part that has hung still in the jaw is put to sleep in mid-air as soon as the pads leave it.
+        """
+        for i in np.flatnonzero(parts & self.asleep() & self.in_play):
+            T_world_part = self.part_poses()[i]
+            T_world_part[2, 3] -= 1e-6  # what has moved is woken
+            self.move(int(i), T_world_part)
 
     def _inertial_torque(self, acceleration: Floats) -> Floats:
         """Return the (6,) torques that accelerate the arm's links by (6,) joint accelerations [rad/s^2]."""
@@ -242,10 +322,13 @@ class Simulation:
                 parts.add(int(self.part_of_geom[other]))
         return Push(force=force, with_cell=with_cell, parts=frozenset(parts))
 
+    def robot_ends(self) -> NDArray[np.bool_]:
+        """Return (C, 2) which ends of the contacts are the robot's."""
+        return np.array(self._is_robot_geom[self.data.contact.geom[: self.data.ncon]])
+
     def touched_by_gripper(self) -> NDArray[np.bool_]:
         """Return the (capacity,) mask of parts that touch any link of the robot."""
-        pairs = self.data.contact.geom[: self.data.ncon]
-        robot = self._is_robot_geom[pairs]
+        pairs, robot = self.data.contact.geom[: self.data.ncon], self.robot_ends()
         touched = np.zeros(self.capacity, dtype=bool)
         partners = self.part_of_geom[pairs[robot[:, ::-1]]]
         touched[partners[partners >= 0]] = True

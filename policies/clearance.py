@@ -1,22 +1,24 @@
 """Which grasps on which seen parts the gripper can reach without touching anything else, best first."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.candidates import PoseCandidate
-from perception.frame import Frame, Workspace
+from perception.frame import Workspace
 from perception.geometry import Floats, require_shape
 from policies._kernels import scene_clearances, widest_clear
 from policies.grasps import GraspSet
 from policies.gripper import GripperModel
 from policies.heightmap import HeightMap
 from policies.outcomes import GraspCandidate
+from policies.seen_scene import SeenPart, SeenScene
 
 RETREATS = (0.02, 0.04, 0.06)  # poses checked back along the approach [m]
+PENALISED = ("covered", "buried", "intrusion")  # features that count against a grasp
+_DEPTHS = (0.0, 1 / 3, 2 / 3, 1.0)  # of daring: the least that a grasp needs, because wider openings reach deeper
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +30,7 @@ class RankSettings:
 
     max_tilt: float = float(np.radians(50))  # of the approach from the vertical
     margin: float = 0.001  # every point of the gripper stays this much above everything else that was seen
+    daring: float = 0.0  # deeper than that it may reach with a grasp for which it cannot; those come last
     max_opening: float = 0.084
     cell: float = 0.002  # of the height map
     per_candidate: int = 8  # grasps kept of each part
@@ -41,6 +44,7 @@ class RankSettings:
     weight_opening: float = 0.05  # share of the openings that are as wide or narrower
     penalty_covered: float = 0.30  # for known parts above the target, full from two
     penalty_buried: float = 0.20  # for the share of the target's outline over which something higher was measured
+    penalty_intrusion: float = 4.0  # half of it for not being clear, all of it from 20 mm deep
 
     def __post_init__(self) -> None:
         if not 0 < self.max_tilt <= np.pi / 2:
@@ -48,6 +52,8 @@ class RankSettings:
         for name in ("margin", "max_opening", "cell", "per_candidate"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if not 0 <= self.daring < np.inf:
+            raise ValueError(f"daring must not be negative, got {self.daring}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,48 +103,37 @@ def clearances(
 
 
 def rank_grasps(
-    candidates: Sequence[PoseCandidate],
-    grasps: GraspSet,
-    frame: Frame,
-    workspace: Workspace,
-    gripper: GripperModel,
-    settings: RankSettings | None = None,
-    *,
-    wall: float = 0.02,
+    scene: SeenScene, grasps: GraspSet, gripper: GripperModel, settings: RankSettings | None = None
 ) -> tuple[list[GraspCandidate], RankStats]:
     """Place the part's grasps on every seen part and keep the best that are clear of all others.
 
     Args:
-        candidates: Parts seen in ``frame``.
+        scene: The seen parts, and what fingers must stay above.
         grasps: Of this kind of part.
-        frame: The depth that fingers must stay above.
-        workspace: The bin.
         gripper: Where its surfaces are.
         settings: Defaults if None.
-        wall: Thickness of the bin's walls [m].
 
     Returns:
         At most ``per_candidate`` grasps of each part, all together by falling score, and the counts.
     """
-    settings = settings or RankSettings()
-    scene = HeightMap.from_frame(frame, workspace, cell=settings.cell, wall=wall)
+    settings, candidates = settings or RankSettings(), scene.candidates
+    highest = max((c.top for c in candidates), default=0.0)
     ranked: list[GraspCandidate] = []
     tilted = clear = parts_blocked = 0
-    for row, (target, others, overlap) in enumerate(_surroundings(scene, candidates, grasps.surface)):
-        down = -(grasps.T_part_grasp[:, :3, 2] @ candidates[row].T_world_part[2, :3])
+    for row, (candidate, part) in enumerate(zip(candidates, scene.parts, strict=True)):
+        down = -(grasps.T_part_grasp[:, :3, 2] @ candidate.T_world_part[2, :3])
         upright = np.flatnonzero(down >= np.cos(settings.max_tilt))
-        T_world_grasp = candidates[row].T_world_part @ grasps.T_part_grasp[upright]
+        T_world_grasp = candidate.T_world_part @ grasps.T_part_grasp[upright]
         placed = _Placed(grasps=grasps.take(upright), T_world_grasp=T_world_grasp, down=down[upright])
-        opening, room = _open(scene.without(target, others), placed, gripper, settings)
+        opening, room = _open(part.free, placed, gripper, settings)
         kept = np.flatnonzero(opening >= 0)
         tilted += len(grasps) - len(upright)
         clear += len(kept)
         parts_blocked += len(kept) == 0
         if len(kept) > 0:
-            highest = max(c.top for c in candidates)
-            shared = _shared_features(candidates[row], highest, overlap)
+            shared = _shared_features(candidate, highest, part)
             found = _Clear(placed=placed, kept=kept, opening=opening[kept], room=room[kept])
-            ranked += _best(found, row, shared, workspace, gripper, settings)
+            ranked += _best(found, row, shared, scene.workspace, gripper, settings)
     considered = len(candidates) * len(grasps)
     stats = RankStats(
         considered=considered,
@@ -170,30 +165,6 @@ class _Clear:
     room: Floats
 
 
-def _surroundings(
-    scene: HeightMap, candidates: Sequence[PoseCandidate], surface_part: Floats
-) -> Iterator[tuple[Floats, Floats, tuple[int, float]]]:
-    """Yield per candidate its own raster, the highest of all others, and how much lies over it.
-
-    That is the number of known parts above it, and the share of its outline over which something higher was measured.
-    """
-    if not candidates:
-        return
-    rasters = np.stack([scene.rasterise(surface_part, c.T_world_part) for c in candidates])
-    owner = rasters.argmax(axis=0)
-    highest = rasters.max(axis=0)
-    runner_up = np.full_like(highest, -np.inf)
-    if len(rasters) > 1:
-        runner_up = np.partition(rasters, len(rasters) - 2, axis=0)[-2]
-    for row, own in enumerate(rasters):
-        outline = np.nonzero(np.isfinite(own))  # empty for an estimate beside the map: then nothing is clear either
-        surface = cv2.dilate(own, np.ones((3, 3), np.uint8))[outline]  # edge cells may hold a flank's lower points only
-        # 3 % of the outline: less is two parts side by side whose edges share cells.
-        above = (rasters[:, outline[0], outline[1]] > surface + 0.002).sum(axis=1) > 0.03 * len(surface)
-        buried = float((scene.measured[outline] > surface + 0.005).mean()) if len(surface) else 1.0
-        yield own, np.where(owner == row, runner_up, highest), (int(above.sum()), buried)
-
-
 def _open(
     scene: HeightMap, placed: _Placed, gripper: GripperModel, settings: RankSettings
 ) -> tuple[NDArray[np.int64], Floats]:
@@ -201,27 +172,29 @@ def _open(
     grasps = placed.grasps
     T_bin_tcp = scene.T_bin_world @ gripper.tcp_from_grasp(placed.T_world_grasp, grasps.width)
     fits = grasps.width[:, None] + 2 * grasps.extras <= settings.max_opening
-    openings = grasps.width, grasps.extras, grasps.clear & fits, np.array(RETREATS)
+    allowed = grasps.clear & fits
     tables = gripper.gaps, gripper.points, gripper.labels
-    found: tuple[NDArray[np.int64], Floats] = widest_clear(
-        *_cells(scene), T_bin_tcp, *openings, *tables, settings.margin
-    )
-    return found
+    choice, room = np.full(len(T_bin_tcp), -1), np.full(len(T_bin_tcp), -np.inf)
+    for depth in _DEPTHS if settings.daring > 0 else _DEPTHS[:1]:
+        left = choice < 0
+        openings = grasps.width[left], grasps.extras, allowed[left], np.array(RETREATS)
+        margin = settings.margin - depth * settings.daring
+        choice[left], room[left] = widest_clear(*_cells(scene), T_bin_tcp[left], *openings, *tables, margin)
+    return choice, room
 
 
 def _cells(scene: HeightMap) -> tuple[Floats, Floats, float, float]:
     return scene.heights, scene.origin, scene.cell, scene.outside
 
 
-def _shared_features(candidate: PoseCandidate, highest: float, overlap: tuple[int, float]) -> dict[str, float]:
+def _shared_features(candidate: PoseCandidate, highest: float, part: SeenPart) -> dict[str, float]:
     """Return the features that all grasps of one part have in common."""
-    covering, buried = overlap
     return {
         "score": candidate.score,
         "visible": candidate.visible_fraction,
         "height": float(np.clip(1 - (highest - candidate.top) / 0.06, 0, 1)),
-        "covered": min(covering, 2) / 2,
-        "buried": buried,
+        "covered": min(part.covering, 2) / 2,
+        "buried": part.buried,
     }
 
 
@@ -243,11 +216,12 @@ def _best(
         "vertical": (placed.down[kept] - least) / max(1 - least, 1e-9),
         "wall": np.clip(beside.min(axis=1) / 0.05, 0, 1),
         "clearance": np.clip((found.room - settings.margin) / 0.005, 0, 1),
+        "intrusion": _intrusion(settings.margin - found.room),
         "opening": (found.opening + 1) / len(grasps.extras),
         **{name: np.full(len(kept), value) for name, value in shared.items()},
     }
     score = sum(getattr(settings, f"weight_{name}", 0.0) * value for name, value in features.items())
-    score = score - sum(getattr(settings, f"penalty_{name}") * features[name] for name in ("covered", "buried"))
+    score = score - sum(getattr(settings, f"penalty_{name}") * features[name] for name in PENALISED)
     T_world_tcp = gripper.tcp_from_grasp(T_world_grasp, grasps.width[kept])
     opening = grasps.width[kept] + 2 * grasps.extras[found.opening]
     return [
@@ -262,6 +236,11 @@ def _best(
         )
         for n in _diverse(T_world_grasp, score, settings.per_candidate)
     ]
+
+
+def _intrusion(depth: Floats) -> Floats:
+    """Return (N,) 0 where the gripper stays clear by the margin; else, by how much deeper it is [m], 1/2 to 1."""
+    return np.where(depth > 0, np.clip(0.5 + depth / 0.04, 0, 1), 0.0)
 
 
 def _diverse(T_world_grasp: Floats, score: Floats, count: int) -> list[int]:

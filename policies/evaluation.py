@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from binpick_env.config import CameraConfig, CellConfig, SensorPreset
+from binpick_env.config import BinConfig, CameraConfig, CellConfig, SensorPreset
 from binpick_env.env import BinPickEnv
 from binpick_env.parts import Part, Unit, load_part
 from binpick_env.perceiver import Perception, PoseNoise, make_perceiver
@@ -41,10 +41,12 @@ class EvaluationConfig:
     camera: CameraConfig = field(default_factory=CameraConfig)
     pose_noise: PoseNoise = field(default_factory=PoseNoise)  # added by the oracle
     picker: PickerSettings = field(default_factory=PickerSettings)
+    bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; None is the standard bin
 
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise ValueError(f"seed must not be negative, got {self.seed}")
+        self.cell()
         low, high = self.num_parts
         if not 1 <= low <= high:
             raise ValueError(f"num_parts must be a rising pair from 1, got {self.num_parts}")
@@ -56,6 +58,10 @@ class EvaluationConfig:
         if path.suffix and path.is_file():
             values["part"] = hashlib.sha256(path.read_bytes()).hexdigest()
         return hashlib.sha256(json.dumps(values, sort_keys=True, default=repr).encode()).hexdigest()[:16]
+
+    def cell(self) -> CellConfig:
+        """Return the cell's settings, the camera's aside."""
+        return CellConfig() if self.bin is None else CellConfig(bin=BinConfig(inner_size=self.bin))
 
     def load_part(self) -> Part:
         """Load the part with its unit, symmetry and density."""
@@ -70,7 +76,7 @@ class EvaluationConfig:
             FileNotFoundError: The part's file does not exist.
         """
         part = self.load_part()
-        make_perceiver(self.perception, part.model, CellConfig().bin.workspace(), self.pose_noise)
+        make_perceiver(self.perception, part.model, self.cell().bin.workspace(), self.pose_noise)
         return part
 
 
@@ -142,6 +148,7 @@ def watched_env(config: EvaluationConfig) -> WatchedEnv:
         sensor=config.sensor,
         camera=config.camera,
         pose_noise=config.pose_noise,
+        config=config.cell(),
         render_mode="rgb_array",
         threads=1,
     )

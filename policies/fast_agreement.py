@@ -5,12 +5,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
-from binpick_env.config import CONTROL_PERIOD
-from binpick_env.env import BinPickEnv
-from binpick_env.outcomes import DeliveryJudge
 from binpick_env.text_tables import columns
 from policies.grasp_menu import GraspMenu
 from policies.outcomes import GraspOutcome
@@ -77,20 +73,6 @@ def paired_attempts(full: GraspSelectionEnv, fast: GraspSelectionEnv, seed: int,
     raise RuntimeError(f"{MAX_PILES} piles did not give {count} attempts")
 
 
-def copy_state(source: BinPickEnv, target: BinPickEnv) -> None:
-    """Put a cell that rests between two attempts, with its last frame, into another of the same part and size."""
-    a, b = source.simulation, target.simulation
-    mujoco.mj_copyData(b.data, b.model, a.data)
-    b.model.body_gravcomp[:] = a.model.body_gravcomp
-    b.in_play, b.target, b._target_before = a.in_play.copy(), a.target.copy(), a._target_before.copy()
-    b.gripper_target = a.gripper_target
-    target._judge = DeliveryJudge(b, CONTROL_PERIOD)
-    target.capture, target.exposure, target.sighting = source.capture, source.exposure, source.sighting
-    target.candidates, target._candidate_arrays = source.candidates, source._candidate_arrays
-    target.total, target.delivered, target.events = source.total, source.delivered, list(source.events)
-    target._steps, target._frame_id, target._frame_time = source._steps, source._frame_id, source._frame_time
-
-
 def agreement_table(pairs: Sequence[Pair]) -> str:
     """Return the share of equal outcomes with its interval, the outcomes that differ, and the times, as text."""
     same = rate(sum(pair.agree for pair in pairs), len(pairs))
@@ -116,7 +98,7 @@ def _outcomes(pairs: Sequence[Pair]) -> list[tuple[GraspOutcome, GraspOutcome]]:
 
 
 def _attempt(full: GraspSelectionEnv, fast: GraspSelectionEnv, plan: Plan) -> Pair:
-    copy_state(full.cell, fast.cell)
+    fast.cell.restore(full.cell.snapshot())
     started = time.process_time()
     twin = fast.picker.execute(plan)
     between = time.process_time()

@@ -115,11 +115,7 @@ class GraspMenu:
     def _scene(self) -> GraspScene:
         env, picker = self._env, self._picker
         return GraspScene(
-            candidates=env.candidates,
-            frame=env.frame,
-            workspace=env.workspace,
-            wall=env.config.bin.wall,
-            surface=picker.grasp_set.surface,
+            seen=picker.seen(),
             d_max=env.part.model.d_max,
             gripper=picker.gripper,
             rank=picker.settings.rank,

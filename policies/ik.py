@@ -7,6 +7,7 @@ times as dear. Hence it comes last: solve freely, ask the scene for contacts, an
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import mink
 import mujoco
@@ -129,7 +130,7 @@ class IkSolver:
             TCP_SITE, "site", position_cost=1.0, orientation_cost=self.settings.rotation_cost, lm_damping=1e-3
         )
         self._posture = mink.PostureTask(model, cost=self.settings.posture_cost)
-        self._free: list[mink.Limit] = [mink.ConfigurationLimit(model)]
+        self._free: list[mink.Limit] = [_HingeLimit(model)]
         self._guarded: list[mink.Limit] = [*self._free, _collision_limit(model, self.settings.guard_distance)]
 
     def tcp_pose(self, q: Floats) -> Floats:
@@ -151,12 +152,15 @@ class IkSolver:
         Raises:
             ValueError: If the target is not a finite rigid transform or a seed not a finite (6,).
         """
-        target = checked_pose(T_world_tcp)
-        tried = checked_postures("seeds", seeds)
-        q_near = tried[0]
+        checked_pose(T_world_tcp)
+        return self._solve(T_world_tcp, checked_postures("seeds", seeds), opening)
+
+    def _solve(self, T_world_tcp: Floats, tried: Floats, opening: float | None) -> IkResult:
+        """Solve for a pose from (K, 6) seeds, all of which have been checked."""
+        target, q_near = mink.SE3.from_matrix(T_world_tcp), tried[0]
         best: IkResult | None = None
         iterations = 0
-        for seed in [*tried, *self._restarts(T_world_tcp)]:
+        for seed in chain(tried, self._restarts(T_world_tcp)):
             q, count = self._descend(target, seed)
             iterations += count
             result = self._judge(T_world_tcp, q, q_near, iterations, opening)
@@ -179,17 +183,18 @@ class IkSolver:
         Tries the way that turns the tool less from ``q_near`` on, relative to the direction the arm points in; the
         other way is tried only where this one fails.
         """
-        near = checked_postures("q_near", q_near)[0]
+        seeds = checked_postures("q_near", q_near)[:1]
+        near = seeds[0]
         checked_pose(T_world_tcp)
         T_world_near = self.tcp_pose(near)
         R_world_aimed = rotation_about((0, 0, 1), turn_about_base(T_world_near, T_world_tcp)) @ T_world_near[:3, :3]
         ways = sorted(
             (T_world_tcp, T_world_tcp @ _JAW_FLIP), key=lambda T: float(rotation_angle(R_world_aimed.T @ T[:3, :3]))
         )
-        first = self.solve(ways[0], near, opening=opening)
+        first = self._solve(ways[0], seeds, opening)
         if first.ok or first.hopeless:
             return first
-        second = self.solve(ways[1], near, opening=opening)
+        second = self._solve(ways[1], seeds, opening)
         return min(first, second, key=lambda way: self._rank(way, near))
 
     def line(self, q_start: Floats, T_world_tcp_to: Floats) -> CartesianPath:
@@ -203,7 +208,7 @@ class IkSolver:
         start = checked_postures("q_start", q_start)[0]
         path = [start]
         for T_world_tcp in interpolate_poses(self.tcp_pose(start), T_world_tcp_to, self.settings.line_spacing):
-            q, _ = self._descend(checked_pose(T_world_tcp), path[-1])
+            q, _ = self._descend(mink.SE3.from_matrix(T_world_tcp), path[-1])
             if not self._reached(*pose_residual(self.tcp_pose(q), T_world_tcp)):
                 return CartesianPath(q=np.array(path), complete=False)
             if np.max(np.abs(q - path[-1])) > self.settings.max_jump:
@@ -289,6 +294,22 @@ class IkSolver:
         spread = np.array([0.3, 0.3, 0.4, 0.8, 0.8, 1.5])
         seeds += [aimed + spread * rng.uniform(-1, 1, DOF) for _ in range(self.settings.restarts)]
         yield from seeds[: self.settings.restarts]
+
+
+class _HingeLimit(mink.ConfigurationLimit):
+    """mink's limit of the joints' positions for hinges that all have limits: the same bits, faster.
+
+    Its rows do not depend on the posture, and the way between two postures is their difference.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        super().__init__(model)
+        self._rows = np.vstack([np.eye(DOF), -np.eye(DOF)])
+
+    def compute_qp_inequalities(self, configuration: mink.Configuration, dt: float) -> mink.Constraint:  # noqa: ARG002
+        """Return the constraint that keeps a step from going ``gain`` of the way to any limit."""
+        q = configuration.q
+        return mink.Constraint(G=self._rows, h=self.gain * np.concatenate([self.upper - q, q - self.lower]))
 
 
 def _collision_limit(model: mujoco.MjModel, distance: float) -> mink.CollisionAvoidanceLimit:

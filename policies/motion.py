@@ -168,14 +168,16 @@ def _path_rate(curve: SplineInterpolator, s: Floats, velocity: Floats, accelerat
         velocity: (G,) limit of every joint there [rad/s].
         acceleration: Limit of every joint [rad/s^2].
     """
+    both_ways = np.array([-1.0, 1.0])
+    bounds = np.broadcast_to(velocity[:, None, None] * both_ways, (len(s), DOF, 2))
 
     def velocity_limit(at: float) -> Floats:
-        bound = velocity[min(int(np.searchsorted(s, at - 1e-9)), len(s) - 1)]
-        return np.tile([-bound, bound], (DOF, 1))
+        bound: Floats = bounds[min(int(np.searchsorted(s, at - 1e-9)), len(s) - 1)]
+        return bound
 
     constraints = [
         JointVelocityConstraintVarying(velocity_limit),
-        JointAccelerationConstraint(np.tile([-acceleration, acceleration], (DOF, 1))),
+        JointAccelerationConstraint(np.tile(acceleration * both_ways, (DOF, 1))),
     ]
     solver = TOPPRA(constraints, curve, gridpoints=s, solver_wrapper="seidel")
     _, rate, _ = solver.compute_parameterization(0.0, 0.0)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.geometry import Floats, require_shape
+from policies._kernels import place_points
 from policies.planning_scene import DOF, PlanningScene
 
 HeightFunction = Callable[[Floats], Floats]  # (P, 3) world points to the (P,) height of the pile below each [m]
@@ -58,7 +59,7 @@ class PathChecker:
             pile_clearance: That the points must keep above any surface [m].
 
         Note:
-            About 30 us a sample and 20 us for its points.
+            About 15 us a sample, and 70 us for a thousand points at it.
         """
         require_shape("q", q, (None, DOF))
         if points_tcp is not None:
@@ -92,8 +93,7 @@ class PathChecker:
         self, samples: Floats, points_tcp: Floats, obstacle_height: HeightFunction | None, pile_clearance: float
     ) -> PathCheck:
         poses = self._scene.tcp_poses(samples)
-        points = np.einsum("sij,pj->spi", poses[:, :3, :3], points_tcp) + poses[:, None, :3, 3]
-        flat = points.reshape(-1, 3)
+        flat = place_points(poses, np.ascontiguousarray(points_tcp))
         surface = self._scene.static_height(flat)
         if obstacle_height is not None:
             surface = np.maximum(surface, obstacle_height(flat))

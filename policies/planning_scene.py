@@ -12,7 +12,8 @@ import numpy as np
 from binpick_env.config import CellConfig
 from binpick_env.robot import ARM_JOINTS, FINGER_PADS, GRIPPER, TCP_SITE
 from binpick_env.scene import cell_spec
-from perception.geometry import Floats, make_transform, require_shape
+from perception.geometry import Floats, require_shape
+from policies._kernels import box_heights
 
 DOF = len(ARM_JOINTS)
 MAX_CLEARANCE = 0.03  # contacts with the cell are found up to this distance [m]
@@ -52,11 +53,11 @@ class PlanningScene:
         self.arm_model = _without_jaw_joints(_planning_spec(self.config)).compile()
         self._data = mujoco.MjData(self.model)
         self._tcp = self.model.site(TCP_SITE).id
-        self._first_qpos = [self.model.joint(name).qposadr[0] for name in ARM_JOINTS]
         self._drivers, self._openings = self._calibrate_jaw()
         mujoco.mj_kinematics(self.model, self._data)
-        is_box = self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
-        self._boxes = np.flatnonzero(is_box & (self.model.geom_contype == _STATIC))
+        boxes = (self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX) & (self.model.geom_contype == _STATIC)
+        # Upright, all of them, and they stay where they are.
+        self._boxes = self._data.geom_xpos[boxes], self._data.geom_xmat[boxes], self.model.geom_size[boxes]
 
     @property
     def limits(self) -> Floats:
@@ -80,10 +81,12 @@ class PlanningScene:
 
     def tcp_poses(self, q: Floats) -> Floats:
         """Return the (S, 4, 4) poses ``T_world_tcp`` of (S, 6) postures."""
-        poses = np.empty((len(q), 4, 4))
+        poses = np.zeros((len(q), 4, 4))
+        poses[:, 3, 3] = 1.0
+        rotation, place = self._data.site_xmat[self._tcp].reshape(3, 3), self._data.site_xpos[self._tcp]
         for i, posture in enumerate(q):
             self._place(posture, None)
-            poses[i] = make_transform(self._data.site_xmat[self._tcp].reshape(3, 3), self._data.site_xpos[self._tcp])
+            poses[i, :3, :3], poses[i, :3, 3] = rotation, place
         return poses
 
     def contacts(self, q: Floats, *, opening: float | None = None, clearance: float = 0.0) -> list[Contact]:
@@ -118,18 +121,13 @@ class PlanningScene:
     def static_height(self, points_world: Floats) -> Floats:
         """Return the (P,) height [m] of the highest surface of table, bin and tray at the (P, 3) points' x and y."""
         require_shape("points_world", points_world, (None, 3))
-        height = np.full(len(points_world), -np.inf)
-        for geom in self._boxes:  # upright boxes, all of them
-            R_world_box = self._data.geom_xmat[geom].reshape(3, 3)
-            local = (points_world - self._data.geom_xpos[geom]) @ R_world_box
-            size = self.model.geom_size[geom]
-            inside = np.all(np.abs(local[:, :2]) <= size[:2], axis=1)
-            height[inside] = np.maximum(height[inside], self._data.geom_xpos[geom, 2] + size[2])
+        height: Floats = box_heights(np.ascontiguousarray(points_world), *self._boxes)
         return height
 
     def _place(self, q: Floats, opening: float | None) -> None:
-        self._data.qpos[self._first_qpos] = q
-        self._data.qpos[DOF:] = _linkage(0.0) if opening is None else self.jaw_posture(opening)
+        qpos = self._data.qpos  # the arm's joints come first
+        qpos[:DOF] = q
+        qpos[DOF:] = _OPEN_JAW if opening is None else self.jaw_posture(opening)
         mujoco.mj_kinematics(self.model, self._data)
 
     def _calibrate_jaw(self) -> tuple[Floats, Floats]:
@@ -149,7 +147,10 @@ class PlanningScene:
 
 def _linkage(driver: float) -> Floats:
     """Return the (8,) joint positions of both fingers; the pads stay parallel, as the four-bar linkage keeps them."""
-    return np.tile([driver, 0.0, driver, -driver], 2)
+    return np.array([driver, 0.0, driver, -driver, driver, 0.0, driver, -driver])
+
+
+_OPEN_JAW = _linkage(0.0)
 
 
 def _planning_spec(config: CellConfig) -> mujoco.MjSpec:

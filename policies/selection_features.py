@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.candidates import MAX_CANDIDATES, PoseCandidate
-from perception.frame import Frame, Workspace
+from binpick_env.candidates import MAX_CANDIDATES
 from perception.geometry import Floats, invert_transform, require_shape
-from policies.clearance import RankSettings, clearances
+from policies.clearance import PENALISED, RankSettings, clearances
 from policies.failed_grasps import FailedGrasps
 from policies.gripper import GripperModel
-from policies.heightmap import HeightMap
 from policies.outcomes import GraspCandidate
+from policies.seen_scene import SeenScene
 
 ROOMY = 0.02  # clearance beyond the margin that counts as all one could want [m]
 DEXTROUS = 0.3  # smallest singular value of the Jacobian that counts as such; the cell's best posture has 0.26
@@ -67,9 +66,14 @@ FEATURES: dict[str, Feature] = {
     "dexterity": _share("of the arm in the grasp: smallest singular value of the tcp's Jacobian over 0.3"),
     "suspect": _share("1 if an attempt on this part failed before"),
     "seen": _share("parts seen in this frame, over 32"),
+    "intrusion": _share("0 where the gripper is clear; otherwise 1/2, and 1 where it reaches 20 mm into what was seen"),
     "rank": _signed("weighted score of the scripted picker"),
 }
-RANKED = ("quality", "vertical", "score", "visible", "height", "wall", "clearance", "opening", "covered", "buried")
+# Those that make the weighted score.
+RANKED = (
+    *("quality", "vertical", "score", "visible", "height", "wall", "clearance", "opening"),
+    *PENALISED,
+)
 LOW = np.array([f.low for f in FEATURES.values()], dtype=np.float32)  # (F,)
 HIGH = np.array([f.high for f in FEATURES.values()], dtype=np.float32)  # (F,)
 
@@ -79,22 +83,14 @@ class GraspScene:
     """What the features of grasps are measured in.
 
     Attributes:
-        candidates: Parts seen in ``frame``.
-        frame: Depth that the gripper must stay above.
-        workspace: The bin.
-        wall: Thickness of its walls [m].
-        surface: (S, 3) points spread over the part's surface, part frame [m].
+        seen: The parts seen, and what the gripper must stay above.
         d_max: The part's diameter [m].
         gripper: Where its surfaces are.
         rank: Settings that the grasps were ranked with.
         failed: What was tried in vain.
     """
 
-    candidates: Sequence[PoseCandidate]
-    frame: Frame
-    workspace: Workspace
-    wall: float
-    surface: Floats
+    seen: SeenScene
     d_max: float
     gripper: GripperModel
     rank: RankSettings
@@ -115,8 +111,8 @@ def feature_rows(scene: GraspScene, grasps: Sequence[GraspCandidate], dexterity:
     require_shape("dexterity", dexterity, (len(grasps),))
     if not grasps:
         return np.zeros((0, len(FEATURES)), dtype=np.float32)
-    candidates = [scene.candidates[grasp.candidate] for grasp in grasps]
-    stroke, depth = scene.gripper.stroke, float(scene.workspace.inner_size[2])
+    candidates = [scene.seen.candidates[grasp.candidate] for grasp in grasps]
+    stroke, depth = scene.gripper.stroke, float(scene.seen.workspace.inner_size[2])
     tips = np.stack([grasp.T_world_grasp[:3, 3] for grasp in grasps])
     centres = np.stack([candidate.centre_world for candidate in candidates])
     columns = {
@@ -130,7 +126,7 @@ def feature_rows(scene: GraspScene, grasps: Sequence[GraspCandidate], dexterity:
         "fill": _of(candidate.fill for candidate in candidates),
         "dexterity": dexterity / DEXTROUS,
         "suspect": _of(scene.failed.suspect(centre) for centre in centres),
-        "seen": np.full(len(grasps), len(scene.candidates) / MAX_CANDIDATES),
+        "seen": np.full(len(grasps), len(scene.seen.candidates) / MAX_CANDIDATES),
         "rank": _of(grasp.score for grasp in grasps),
     }
     rows = np.stack([columns[name] for name in FEATURES], axis=1).astype(np.float32)
@@ -150,8 +146,8 @@ def _of(values: Iterable[float]) -> Floats:
 
 def _place(scene: GraspScene, grasps: Sequence[GraspCandidate]) -> dict[str, Floats]:
     """Return where the fingertips meet and how the hand is turned."""
-    T_bin_grasp = invert_transform(scene.workspace.T_world_bin) @ np.stack([g.T_world_grasp for g in grasps])
-    length, across, depth = scene.workspace.inner_size
+    T_bin_grasp = invert_transform(scene.seen.workspace.T_world_bin) @ np.stack([g.T_world_grasp for g in grasps])
+    length, across, depth = scene.seen.workspace.inner_size
     places = T_bin_grasp[:, :3, 3] / np.array([length / 2, across / 2, 2 * depth])
     closing = T_bin_grasp[:, :3, 1] * np.where(_backwards(T_bin_grasp), -1.0, 1.0)[:, None]
     vectors = {"approach": T_bin_grasp[:, :3, 2], "closing": closing}
@@ -170,18 +166,14 @@ def _backwards(T_bin_grasp: Floats) -> NDArray[np.bool_]:
 
 def _room(scene: GraspScene, grasps: Sequence[GraspCandidate]) -> dict[str, Floats]:
     """Return the clearances of both fingers and of the palm, of the way in and of the closing."""
-    heights = HeightMap.from_frame(scene.frame, scene.workspace, cell=scene.rank.cell, wall=scene.wall)
-    rasters = np.stack([heights.rasterise(scene.surface, c.T_world_part) for c in scene.candidates])
     T_world_tcp = np.stack([grasp.T_world_tcp for grasp in grasps])
     opening, width = _of(grasp.opening for grasp in grasps), _of(grasp.width for grasp in grasps)
     owner = np.array([grasp.candidate for grasp in grasps])
     room = np.empty((len(grasps), 3))
     for row in np.unique(owner):
-        others = np.delete(rasters, row, axis=0).max(axis=0, initial=-np.inf)
-        own = owner == row
-        free = heights.without(rasters[row], others)
+        own, free = owner == row, scene.seen.parts[row].free
         room[own] = clearances(free, T_world_tcp[own], opening[own], scene.gripper, width=width[own])
-    backwards = _backwards(invert_transform(scene.workspace.T_world_bin) @ T_world_tcp)
+    backwards = _backwards(invert_transform(scene.seen.workspace.T_world_bin) @ T_world_tcp)
     room[backwards, :2] = room[backwards, 1::-1]
-    shares = (room - scene.rank.margin) / ROOMY
+    shares = (room - scene.rank.margin + scene.rank.daring) / ROOMY
     return {f"clearance_{name}": shares[:, k] for k, name in enumerate(("back", "front", "palm"))}

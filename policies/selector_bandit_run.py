@@ -50,7 +50,7 @@ def train_bandit(
         ValueError: No attempt was made.
         ExperienceError: The folder holds attempts in other bins, or with another behaviour.
     """
-    mine = {"cells": asdict(cells), "behaviour": asdict(behaviour), "seed": seed}
+    mine = {"cells": cells.plain(), "behaviour": asdict(behaviour), "seed": seed}
     note = out / CONFIG
     if note.exists() and json.loads(note.read_text()) != json.loads(json_text(mine)):
         raise ExperienceError(f"{out} holds attempts in other bins; choose another folder with --out")

@@ -14,6 +14,7 @@ from perception.files import json_text, write_atomically
 from perception.geometry import Floats
 from perception.provenance import command_line, versions
 from policies.evaluation import Cell, EvaluationConfig, watched_env
+from policies.hindsight import HINDSIGHT, HindsightPicker, HindsightTally, hindsight_tally
 from policies.jobs import Job, run_job
 from policies.outcomes import GraspOutcome
 from policies.records import BinRecord
@@ -26,13 +27,15 @@ Gap = tuple[float, float, float]  # difference of two rates with its 95 % interv
 
 
 def selector_cell(spec: str, config: EvaluationConfig) -> Cell:
-    """Build a cell in which a selector chooses.
+    """Build a cell in which a selector chooses, or hindsight.
 
     Args:
-        spec: Name of a heuristic, or path to a trained selector.
+        spec: Name of a heuristic, path to a trained selector, or `HINDSIGHT`.
         config: Of the cell.
     """
     env = watched_env(config)
+    if spec == HINDSIGHT:
+        return Cell(env, HindsightPicker(env, ScriptedPicker(env, config.picker)))
     return Cell(env, SelectorPicker(env, load_selector(spec), ScriptedPicker(env, config.picker)))
 
 
@@ -44,7 +47,7 @@ def selector_names(specs: Sequence[str]) -> dict[str, str]:
     """
     names = {}
     for spec in specs:
-        if spec in SELECTORS:
+        if spec in (*SELECTORS, HINDSIGHT):
             names[spec] = spec
             continue
         path = selector_path(spec)
@@ -66,7 +69,7 @@ def evaluate_selectors(
     Args:
         config: Part, perception, sensor, fill and seed.
         job: Folder, number of bins, processes.
-        specs: Names of heuristics, paths to trained selectors.
+        specs: Names of heuristics, paths to trained selectors, `HINDSIGHT` for the bound.
         on_bin: Called with a selector's name and each of its records.
         make_cell: Builds the cell of a selector.
 
@@ -93,6 +96,9 @@ class Standing:
         bins: How many.
         dr_gap: DR minus the best heuristic's, paired by bins; None for that heuristic itself.
         gsr_gap: Likewise the GSR.
+        reached: Share of hindsight's gain in DR over the best heuristic that is this one's; None without hindsight, or
+            where that gains nothing.
+        tally: What its decisions came to, for hindsight itself.
     """
 
     dr: Rate
@@ -100,10 +106,12 @@ class Standing:
     bins: int
     dr_gap: Gap | None = None
     gsr_gap: Gap | None = None
+    reached: float | None = None
+    tally: HindsightTally | None = None
 
 
 def compare_selectors(records: Records, seed: int = 0) -> tuple[str, dict[str, Standing]]:
-    """Return the best heuristic by DR, and every selector's standing against it.
+    """Return the best heuristic by DR, and every selector's standing against it; hindsight is none of them.
 
     Args:
         records: Of the same bins.
@@ -119,31 +127,41 @@ def compare_selectors(records: Records, seed: int = 0) -> tuple[str, dict[str, S
         raise ValueError("the selectors were not evaluated on the same bins")
     plain = {name: _standing(own) for name, own in records.items()}
     best = max(heuristics, key=lambda name: plain[name].dr.value or 0.0)
+    bound = plain.get(HINDSIGHT)
     compared = {}
     for name, own in records.items():
+        compared[name] = replace(plain[name], reached=_reached(plain[name], plain[best], bound))
         if name == best:
-            compared[name] = plain[name]
             continue
         rng = np.random.default_rng(seed)
         compared[name] = replace(
-            plain[name],
+            compared[name],
             dr_gap=paired_ratio_difference(_deliveries(own), _deliveries(records[best]), rng),
             gsr_gap=paired_ratio_difference(_successes(own), _successes(records[best]), rng),
         )
+    if bound is not None:
+        compared[HINDSIGHT] = replace(compared[HINDSIGHT], tally=hindsight_tally(records[HINDSIGHT]))
     return best, compared
 
 
 def standings_table(best: str, standings: dict[str, Standing]) -> str:
-    """Return all standings as text, the best DR first."""
+    """Return all standings as text, the best DR first; with hindsight, which share of its gain each has reached."""
+    bound = standings.get(HINDSIGHT)
     rows: list[tuple[str, ...]] = [("selector", "DR", "95 %", "GSR", "95 %", "n", "DR gap", "GSR gap")]
     order = sorted(standings, key=lambda name: -(standings[name].dr.value or 0.0))
     for name in order:
         own = standings[name]
         shares = (cell for each in (own.dr, own.gsr) for cell in (_percent(each.value), _span(each.low, each.high)))
         gaps = tuple("best heuristic" if gap is None else _gap(gap) for gap in (own.dr_gap, own.gsr_gap))
-        rows.append((name, *shares, str(own.gsr.n), *gaps))
+        rows.append((f"{name} (bound)" if name == HINDSIGHT else name, *shares, str(own.gsr.n), *gaps))
+    if bound is not None:
+        reached = ["" if (share := standings[name].reached) is None else f"{100 * share:.0f} %" for name in order]
+        rows = [(*row, cell) for row, cell in zip(rows, ["of the bound", *reached], strict=True)]
     bins = standings[best].bins
-    return f"{columns(rows)}\n{bins} bins; gaps in points to {best}, paired bootstrap over bins, 95 %; n attempts"
+    text = f"{columns(rows)}\n{bins} bins; gaps in points to {best}, paired bootstrap over bins, 95 %; n attempts"
+    if bound is None:
+        return text
+    return f"{text}\nof the bound: share of the DR that hindsight gains over {best}\n{bound.tally}"
 
 
 def save_standings(
@@ -163,9 +181,12 @@ def save_standings(
             "intervals": {"dr": (own.dr.low, own.dr.high), "gsr": (own.gsr.low, own.gsr.high)},
             "dr_gap": own.dr_gap,
             "gsr_gap": own.gsr_gap,
+            "reached": own.reached,
         }
         for name, own in standings.items()
     }
+    bound = standings.get(HINDSIGHT)
+    facts["hindsight"] = None if bound is None or bound.tally is None else asdict(bound.tally)
     commits = sorted({record.git_commit for own in records.values() for record in own})
     facts |= {"command": command_line(), "git_commits": commits, "versions": versions()}
     write_atomically(path, json_text(facts))
@@ -175,6 +196,12 @@ def _standing(records: Sequence[BinRecord]) -> Standing:
     delivered, parts = _deliveries(records).sum(axis=0).astype(int)
     successes, attempts = _successes(records).sum(axis=0).astype(int)
     return Standing(dr=rate(int(delivered), int(parts)), gsr=rate(int(successes), int(attempts)), bins=len(records))
+
+
+def _reached(own: Standing, best: Standing, bound: Standing | None) -> float | None:
+    """Return how much of the way from the best heuristic's DR to the bound's a selector has come."""
+    dr, start, end = (0.0 if each is None else each.dr.value or 0.0 for each in (own, best, bound))
+    return (dr - start) / (end - start) if bound is not None and end > start else None
 
 
 def _deliveries(records: Sequence[BinRecord]) -> Floats:

@@ -1,5 +1,6 @@
 """What a selector learns from: the cells it is tried in, and logged attempts with what came of them."""
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -9,10 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.config import SensorPreset
+from binpick_env.config import BinConfig, CellConfig, SensorPreset
 from binpick_env.perceiver import Perception
 from binpick_env.process_map import map_indices
-from perception.files import replace_atomically
+from perception.files import json_text, replace_atomically
+from policies.clearance import RankSettings
+from policies.scripted import PickerSettings
 from policies.selection_env import GraspSelectionEnv
 from policies.selectors import load_selector
 
@@ -29,12 +32,22 @@ class Cells:
     sensor: SensorPreset = "good"  # the depth camera's noise
     fast: bool = False  # leave out the physics of an arm that touches nothing
     max_failures: int = 2  # in a row, that end a bin
+    bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; None is the standard bin
+    daring: float = 0.0  # how deep the gripper may reach into what was seen, where nothing else is left [m]
 
     def environment(self) -> GraspSelectionEnv:
         """Build one; it casts rays on one thread."""
         values = asdict(self)
         num_parts = values.pop("min_parts"), values.pop("max_parts")
-        return GraspSelectionEnv(**values, num_parts=num_parts, threads=1)
+        size = values.pop("bin")
+        config = None if size is None else CellConfig(bin=BinConfig(inner_size=size))
+        picker = PickerSettings(rank=RankSettings(daring=values.pop("daring")))
+        return GraspSelectionEnv(**values, num_parts=num_parts, config=config, picker=picker, threads=1)
+
+    def plain(self) -> dict[str, Any]:
+        """Return the values as they are noted, and as JSON gives them back."""
+        values: dict[str, Any] = json.loads(json_text(asdict(self)))
+        return values
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

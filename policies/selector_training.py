@@ -211,7 +211,7 @@ def _claim(config: PpoConfig, cells: Cells, out: Path) -> list[dict[str, Any]]:
         if noted["ppo"] != mine:
             raise TrainingError(f"{out} holds a training of another configuration; choose another folder with --out")
         stretches = noted["cells"]
-    if not stretches or stretches[-1] != asdict(cells):
-        stretches.append(asdict(cells))
+    if not stretches or stretches[-1] != cells.plain():
+        stretches.append(cells.plain())
     write_atomically(path, json_text({"ppo": mine, "cells": stretches}))
     return stretches

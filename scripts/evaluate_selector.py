@@ -10,9 +10,11 @@ from tqdm import tqdm
 
 from binpick_env.config import SensorPreset
 from binpick_env.perceiver import Perception
+from policies.clearance import RankSettings
 from policies.evaluation import BinError, EvaluationConfig
 from policies.jobs import Job
 from policies.records import BinRecord
+from policies.scripted import PickerSettings
 from policies.selector_evaluation import compare_selectors, evaluate_selectors, save_standings, standings_table
 from policies.selectors import SELECTORS
 
@@ -22,17 +24,21 @@ class Arguments:
     """Let selectors pick the same bins and print how well they did beside each other.
 
     Every bin is kept as it is finished: the same command again goes on where it was stopped. A hard bin is, for one,
-    --part part_b --min-parts 30 --max-parts 30 --sensor harsh.
+    --part part_b --min-parts 30 --max-parts 30 --sensor harsh. Among the selectors, hindsight tries what is on offer
+    from the same state until something delivers: a bound for the others, at several attempts a decision.
     """
 
     part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
-    selectors: tuple[str, ...] = tuple(SELECTORS)  # heuristics by name, trained ones by the path of their .safetensors
+    # heuristics by name, trained ones by the path of their .safetensors, and hindsight for the bound
+    selectors: tuple[str, ...] = tuple(SELECTORS)
     bins: int = 50  # how many bins
     seed: int = 0  # bin i's own seed follows from this and i alone
     perception: Perception = "learned"  # from pixels; gt_masks: true segments; oracle: true poses of visible parts
     sensor: SensorPreset = "good"  # the depth camera's noise
     min_parts: int = 20  # smallest fill of a bin
     max_parts: int = 30  # largest fill
+    bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; the standard bin unless given
+    daring: float = 0.0  # how deep the gripper may reach into what was seen, where nothing else is left [m]
     workers: int = 1  # processes; each computes on one core
     out: Path | None = None  # folder of the records; runs/selectors-PART-PERCEPTION-SENSOR-SEED unless given
     json: Path | None = None  # where to write the numbers; selectors.json in the folder unless given
@@ -45,6 +51,8 @@ class Arguments:
             perception=self.perception,
             sensor=self.sensor,
             num_parts=(self.min_parts, self.max_parts),
+            bin=self.bin,
+            picker=PickerSettings(rank=RankSettings(daring=self.daring)),
         )
 
     def job(self) -> Job:

@@ -81,17 +81,31 @@ def test_selectors_are_trained_and_evaluated(tmp_path: Path, capsys: pytest.Capt
     load_selector(str(trained))
     kept = tmp_path / "e"
     common = (*FEW, "--perception", "oracle", "--seed", "31", "--bins", "1", "--out", kept)
-    assert call(evaluate, *common, "--selectors", "weighted", trained) == 0
-    assert "best heuristic" in capsys.readouterr().out
+    assert call(evaluate, *common, "--selectors", "weighted", trained, "hindsight") == 0
+    shown = capsys.readouterr().out
+    assert "best heuristic" in shown
+    assert "hindsight (bound)" in shown
     numbers = json.loads((kept / "selectors.json").read_text())
-    assert len(numbers["selectors"]) == 2
+    assert len(numbers["selectors"]) == 3
     assert numbers["best_heuristic"] == "weighted"
+
+
+def test_the_bins_size_arrives() -> None:
+    train, evaluate = load("train_selector.py"), load("evaluate_selector.py")
+    size = ["--bin", "0.3", "0.2", "0.15"]
+    assert evaluate.tyro.cli(evaluate.Arguments, args=size).config().bin == (0.3, 0.2, 0.15)
+    assert evaluate.tyro.cli(evaluate.Arguments, args=[]).config().bin is None
+    for method in (train.Ppo, train.Bandit):
+        assert train.tyro.cli(method, args=size).cells.bin == (0.3, 0.2, 0.15)
+        assert train.tyro.cli(method, args=[]).cells.bin is None
 
 
 def test_mistakes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     train, evaluate = load("train_selector.py"), load("evaluate_selector.py")
     assert call(evaluate, "--perception", "oracle", "--selectors", "oracle", "--out", tmp_path) == 2
     assert "error: a selector must be one of random" in capsys.readouterr().err
+    assert call(evaluate, "--bin", "0.3", "0", "0.1") == 2
+    assert "error: inner_size must be positive, got (0.3, 0.0, 0.1)" in capsys.readouterr().err
     assert call(evaluate, "--perception", "oracle", "--bins", "0") == 2
     assert "error: bins and workers must be at least 1" in capsys.readouterr().err
     assert train.bandit(train.tyro.cli(train.Bandit, args=["--epsilon", "2", "--out", str(tmp_path)])) == 2

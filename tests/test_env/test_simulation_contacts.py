@@ -126,3 +126,20 @@ def test_a_part_whose_support_is_taken_away_falls(simulation: Simulation) -> Non
     simulation.park(0)
     wait(simulation, 1.0)
     assert simulation.part_centres()[1, 2] < high - 0.005
+
+
+def test_what_the_opening_jaw_leaves_falls(simulation: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+    weightless = np.ones_like(simulation.model.body_gravcomp)
+    simulation.place(0, centred(simulation, (0.5, 0.0, 0.4)))
+    weight = simulation.model.body_gravcomp.copy()
+    simulation.model.body_gravcomp[:] = weightless
+    wait(simulation, 0.4, gripper=1.0)
+    simulation.model.body_gravcomp[:] = weight
+    # It sleeps in mid-air, as what hung still in the jaw may do in the very step in which the pads leave it.
+    monkeypatch.setattr(Simulation, "touched_by_gripper", lambda _: np.array([True, False, False]))
+    wait(simulation, 0.4, gripper=1.0)
+    assert simulation.asleep()[0]
+    assert simulation.part_centres()[0, 2] > 0.39
+    simulation.step(HOME, 0.0)
+    wait(simulation, 0.4, gripper=1.0)
+    assert simulation.part_centres()[0, 2] < 0.1

@@ -14,6 +14,7 @@ from policies.clearance import RankSettings, RankStats, clearances, rank_grasps
 from policies.grasps import GraspSettings, sample_grasps
 from policies.gripper import LEFT, PALM, RIGHT, gripper_model
 from policies.heightmap import HeightMap
+from policies.seen_scene import SeenScene
 
 TWIN = runpy.run_path(str(Path(__file__).parents[1] / "reference" / "clearance_twin.py"))["clearances"]
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -50,7 +51,11 @@ def ranked(cell, part, grasps, poses, gripper, *, others=(), settings=None):
     """Rank the part at its poses in the bin; ``others`` are seen but unknown."""
     frame = look(cell, [part.mesh.copy().apply_transform(T) for T in poses] + list(others))
     candidates = [candidate(cell, part.mesh, T) for T in poses]
-    return rank_grasps(candidates, grasps, frame, cell, gripper, settings)
+    return rank_grasps(seen(frame, candidates, cell, grasps), grasps, gripper, settings)
+
+
+def seen(frame, candidates, cell, grasps):
+    return SeenScene.from_frame(frame, candidates, cell, grasps.surface)
 
 
 def test_a_step_is_where_it_stands(cell):
@@ -260,6 +265,40 @@ def test_a_walled_in_part_has_no_clear_approach(cell, part, grasps, gripper):
     assert stats.blocked > 0
 
 
+def test_daring_offers_what_reaches_no_deeper(cell, part, grasps, gripper):
+    frame_of = [box((0.3, 0.06, 0.05), placed(0, s * 0.056, 0.025)) for s in (-1, 1)]
+    frame_of += [box((0.1, 0.052, 0.05), placed(s * 0.066, 0, 0.025)) for s in (-1, 1)]
+    found = {}
+    for daring in (0.0, 0.03, 0.045):
+        rank = RankSettings(daring=daring, per_candidate=1000)
+        found[daring], _ = ranked(cell, part, grasps, [placed(0, 0, 0.02)], gripper, others=frame_of, settings=rank)
+    assert found[0.0] == []
+    assert 0 < len(found[0.03]) < len(found[0.045])
+    heights = HeightMap.from_frame(look(cell, frame_of), cell)
+    for daring in (0.03, 0.045):
+        T_world_tcp = np.stack([g.T_world_tcp for g in found[daring]])
+        opening, width = (np.array([getattr(g, name) for g in found[daring]]) for name in ("opening", "width"))
+        depth = 0.001 - clearances(heights, T_world_tcp, opening, gripper, width=width).min(axis=1)
+        assert np.all((depth > 0) & (depth <= daring + 1e-9))
+        noted = np.array([g.features["intrusion"] for g in found[daring]])
+        np.testing.assert_allclose(noted, np.minimum(0.5 + depth / 0.04, 1), atol=1e-9)
+        assert np.all(np.diff([g.score for g in found[daring]]) <= 0)
+
+
+def test_grasps_that_need_daring_come_after_the_clear_ones(cell, part, grasps, gripper):
+    poses = [placed(0, 0, 0.02), placed(0.0301, 0, 0.02)]
+    clear, stats = ranked(cell, part, grasps, poses, gripper, settings=RankSettings(per_candidate=100))
+    rank = RankSettings(daring=0.03, per_candidate=100)
+    every, more = ranked(cell, part, grasps, poses, gripper, settings=rank)
+    assert more.clear > stats.clear
+    assert len(every) > len(clear)
+    for one, other in zip(clear, every, strict=False):
+        np.testing.assert_array_equal(one.T_world_tcp, other.T_world_tcp)
+        assert (one.score, one.features) == (other.score, other.features)
+        assert one.features["intrusion"] == 0
+    assert all(g.features["intrusion"] >= 0.5 for g in every[len(clear) :])
+
+
 def test_a_narrow_gap_narrows_the_opening(cell, part, grasps, gripper):
     walls = [box((0.01, 0.2, 0.012), placed(s * (0.015 + 0.014 + 0.005), 0, 0.006)) for s in (-1, 1)]  # 14 mm a side
 
@@ -293,16 +332,17 @@ def test_grasps_of_one_part_differ(cell, part, grasps, gripper):
 
 
 def test_no_candidate_no_grasp(cell, grasps, gripper):
-    assert rank_grasps([], grasps, look(cell, []), cell, gripper) == ([], RankStats())
+    assert rank_grasps(seen(look(cell, []), [], cell, grasps), grasps, gripper) == ([], RankStats())
 
 
 def test_an_estimate_outside_of_the_bin_or_an_empty_set_gives_nothing(cell, part, grasps, gripper):
     astray = candidate(cell, part.mesh, placed(0.1, 0.05, -0.5))
-    found, stats = rank_grasps([astray], grasps, look(cell, []), cell, gripper)
+    found, stats = rank_grasps(seen(look(cell, []), [astray], cell, grasps), grasps, gripper)
     assert found == []
     assert stats.parts_blocked == 1
     nothing = grasps.take(np.arange(0))
-    found, stats = rank_grasps([candidate(cell, part.mesh, placed(0, 0, 0.02))], nothing, look(cell, []), cell, gripper)
+    lying = candidate(cell, part.mesh, placed(0, 0, 0.02))
+    found, stats = rank_grasps(seen(look(cell, []), [lying], cell, grasps), nothing, gripper)
     assert found == []
     assert stats.considered == 0
 
@@ -321,6 +361,7 @@ def test_a_strict_tilt_rejects_more(cell, part, grasps, gripper):
         ({"max_tilt": 2.0}, "max_tilt must be in"),
         ({"margin": 0.0}, "margin must be positive, got 0.0"),
         ({"per_candidate": 0}, "per_candidate must be positive"),
+        ({"daring": -0.001}, "daring must not be negative, got -0.001"),
     ],
 )
 def test_settings_reject_nonsense(wrong, text):

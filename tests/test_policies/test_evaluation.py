@@ -294,6 +294,7 @@ def test_the_digest_sees_every_setting() -> None:
         "sensor": "none",
         "num_parts": (6, 7),
         "camera": CameraConfig(width=640, height=480),
+        "bin": (0.3, 0.2, 0.1),
     }
     digests = {dataclasses.replace(CONFIG, **{name: value}).digest() for name, value in changes.items()}
     assert len({*digests, CONFIG.digest()}) == len(changes) + 1
@@ -314,6 +315,8 @@ def test_nonsense_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         EvaluationConfig(seed=-1)
     with pytest.raises(ValueError, match=r"num_parts must be a rising pair from 1, got \(5, 4\)"):
         EvaluationConfig(num_parts=(5, 4))
+    with pytest.raises(ValueError, match=r"inner_size must be positive, got \(0.3, 0.0, 0.1\)"):
+        EvaluationConfig(bin=(0.3, 0.0, 0.1))
     with pytest.raises(ValueError, match="bins and workers must be at least 1, got 0 and 1"):
         Job(out=tmp_path, bins=0)
     with pytest.raises(ValueError, match=r"part must be one of .*tee.*, got 'teapot'"):

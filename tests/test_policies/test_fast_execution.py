@@ -10,7 +10,7 @@ from selection_cell import SMALL, choices, lay, step
 from binpick_env.env import BinPickEnv
 from binpick_env.glide import Glide
 from binpick_env.robot import HOME
-from policies.fast_agreement import Pair, agreement_table, copy_state, paired_attempts
+from policies.fast_agreement import Pair, agreement_table, paired_attempts
 from policies.grasp_menu import GraspMenu
 from policies.outcomes import GraspOutcome
 from policies.selection_env import GraspSelectionEnv
@@ -162,10 +162,10 @@ def test_pairs_start_from_one_state_and_agree(full: GraspSelectionEnv, fast: Gra
     assert "equal in delivery" in agreement_table(pairs)
 
 
-def test_a_copied_state_is_the_same(full: GraspSelectionEnv, fast: GraspSelectionEnv) -> None:
+def test_a_state_in_the_other_mode_is_the_same(full: GraspSelectionEnv, fast: GraspSelectionEnv) -> None:
     full.reset(seed=41)
     fast.reset(seed=42)
-    copy_state(full.cell, fast.cell)
+    fast.cell.restore(full.cell.snapshot())
     np.testing.assert_array_equal(full.cell.simulation.part_poses(), fast.cell.simulation.part_poses())
     assert fast.cell.remaining == full.cell.remaining
     menus = [GraspMenu(env.cell, env.picker).offer() for env in (full, fast)]

@@ -15,6 +15,7 @@ from policies.failed_grasps import FailedGrasps
 from policies.grasps import flip
 from policies.gripper import gripper_model
 from policies.outcomes import GraspCandidate
+from policies.seen_scene import SeenScene
 from policies.selection_features import FEATURES, HIGH, LOW, RANKED, GraspScene, column, feature_rows
 
 BIN = workspace(yaw=0.7)  # 0.36 x 0.26 x 0.12 m
@@ -33,11 +34,7 @@ def seen(*T_bin_parts: Floats, **changes: Any) -> list[PoseCandidate]:
 def scene(candidates: list[PoseCandidate], *unknown: Any) -> GraspScene:
     blocks = [BLOCK.copy().apply_transform(np.linalg.inv(BIN.T_world_bin) @ c.T_world_part) for c in candidates]
     return GraspScene(
-        candidates=candidates,
-        frame=look(BIN, [*blocks, *unknown]),
-        workspace=BIN,
-        wall=WALL,
-        surface=SURFACE,
+        seen=SeenScene.from_frame(look(BIN, [*blocks, *unknown]), candidates, BIN, SURFACE, wall=WALL),
         d_max=0.05,
         gripper=gripper_model(),
         rank=RankSettings(),
@@ -116,7 +113,7 @@ def test_parts_seen_are_counted() -> None:
 
 def test_a_part_is_suspect_once_an_attempt_on_it_failed() -> None:
     both = scene(seen(ON_FLOOR, placed(0.1, 0, 0.015)))
-    both.failed.add(both.candidates[1].centre_world, np.eye(4))
+    both.failed.add(both.seen.candidates[1].centre_world, np.eye(4))
     assert [row(both, grasp(candidate=k))["suspect"] for k in (0, 1)] == [0.0, 1.0]
 
 
@@ -216,6 +213,6 @@ def test_each_grasp_needs_its_dexterity(alone: GraspScene) -> None:
 
 def test_columns_have_names() -> None:
     assert column("x") == 0
-    assert column("rank") == len(FEATURES) - 1 == 30
+    assert column("rank") == len(FEATURES) - 1 == 31
     with pytest.raises(ValueError, match=r"there is no feature 'weight'; there are x, y, z, .*rank"):
         column("weight")

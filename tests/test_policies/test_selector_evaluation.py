@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +10,14 @@ import pytest
 from fake_cell import dice_cell
 
 from policies.evaluation import Cell, EvaluationConfig
+from policies.hindsight import TRIED, HindsightPicker
 from policies.jobs import FolderError, Job
 from policies.records import BinRecord
 from policies.selector_evaluation import (
     compare_selectors,
     evaluate_selectors,
     save_standings,
+    selector_cell,
     selector_names,
     standings_table,
 )
@@ -73,6 +75,7 @@ def test_a_trained_selectors_name_changes_with_its_file(tmp_path: Path) -> None:
     assert all(name.startswith("net-") for name in names)
     with pytest.raises(ValueError, match="every selector may be evaluated once, got random, random"):
         selector_names(["random", "random"])
+    assert selector_names(["hindsight", "random"]) == {"hindsight": "hindsight", "random": "random"}
     with pytest.raises(ValueError, match=r"or the path of a .safetensors file, got 'none'"):
         selector_names(["none"])
 
@@ -99,6 +102,72 @@ def test_the_comparison_is_with_the_best_heuristic_and_paired(tmp_path: Path) ->
     assert kept["best_heuristic"] == "weighted"
     assert kept["selectors"]["ours-1"]["dr_gap"] == pytest.approx([0.1, 0.1, 0.1])
     assert kept["selectors"]["weighted"]["dr_gap"] is None
+
+
+def with_tries(record: BinRecord, *tries: int) -> BinRecord:
+    """Let the first attempts of a bin have been kept from so many."""
+    picks = [replace(p, features={TRIED: float(n)}) for p, n in zip(record.picks, tries, strict=False)]
+    return replace(record, picks=(*picks, *record.picks[len(tries) :]))
+
+
+def test_hindsight_is_a_bound_and_no_heuristic(tmp_path: Path) -> None:
+    base = evaluated(tmp_path, 3, ("random", "hindsight"))
+    records = {
+        "random": [scored(r, n) for r, n in zip(base["random"], (2, 3, 4), strict=True)],
+        "weighted": [scored(r, n) for r, n in zip(base["random"], (4, 5, 6), strict=True)],
+        "ours-1": [scored(r, n) for r, n in zip(base["random"], (5, 6, 7), strict=True)],
+        "hindsight": [scored(with_tries(r, 1, 3), n) for r, n in zip(base["hindsight"], (8, 9, 10), strict=True)],
+    }
+    best, standings = compare_selectors(records)
+    assert best == "weighted"
+    reached = {name: own.reached for name, own in standings.items()}
+    assert reached == pytest.approx({"random": -0.5, "weighted": 0.0, "ours-1": 0.25, "hindsight": 1.0})
+    tally = standings["hindsight"].tally
+    assert tally is not None
+    attempts = [record.attempts for record in records["hindsight"]]
+    assert tally.tries == sum(len(own) for own in attempts) + 2 * 3
+    text = standings_table(best, standings)
+    lines = {line.split()[0]: line for line in text.splitlines()}
+    assert lines["selector"].endswith("of the bound")
+    assert lines["hindsight"].startswith("hindsight (bound)")
+    assert [lines[name].split()[-2:] for name in ("ours-1", "random")] == [["25", "%"], ["-50", "%"]]
+    assert text.endswith(str(tally))
+    save_standings(tmp_path / "s.json", CONFIG, best, standings, records)
+    kept = json.loads((tmp_path / "s.json").read_text())
+    assert kept["best_heuristic"] == "weighted"
+    assert kept["selectors"]["ours-1"]["reached"] == pytest.approx(0.25)
+    assert kept["hindsight"] == asdict(tally)
+
+
+def test_without_a_gain_there_is_no_share(tmp_path: Path) -> None:
+    own = evaluated(tmp_path, 2, ("random",))["random"]
+    records = {"random": [scored(r, 8) for r in own], "hindsight": [scored(r, 8) for r in own]}
+    best, standings = compare_selectors(records)
+    assert [each.reached for each in standings.values()] == [None, None]
+    assert "%" not in standings_table(best, standings).splitlines()[1].split("best heuristic")[-1]
+    best, standings = compare_selectors({"random": own})
+    assert standings["random"].reached is None
+    assert "bound" not in standings_table(best, standings)
+    with pytest.raises(ValueError, match="a heuristic is needed to compare with"):
+        compare_selectors({"hindsight": own})
+
+
+def test_hindsights_bins_are_kept_with_their_tries(tmp_path: Path) -> None:
+    """Picked in the real cell, and read back from its folder."""
+    config = EvaluationConfig(perception="oracle", seed=31, num_parts=(1, 1), bin=(0.3, 0.2, 0.1))
+    job = Job(out=tmp_path, bins=1, pictures=False)
+    made: list[Cell] = []
+
+    def real(spec: str, config: EvaluationConfig) -> Cell:
+        made.append(selector_cell(spec, config))
+        return made[-1]
+
+    (record,) = evaluate_selectors(config, job, ["hindsight"], make_cell=real)["hindsight"]
+    assert isinstance(made[0].picker, HindsightPicker)
+    assert made[0].env.workspace.inner_size.tolist() == [0.3, 0.2, 0.1]
+    assert [pick.features[TRIED] for pick in record.attempts] == [1.0]
+    assert evaluate_selectors(config, job, ["hindsight"], make_cell=real)["hindsight"] == [record]
+    assert len(made) == 1
 
 
 def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:

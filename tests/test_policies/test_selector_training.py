@@ -1,6 +1,6 @@
 """Both ways to train a selector, on a toy where the answer is known; once, briefly, in the cell."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +147,24 @@ def test_both_train_in_the_cell(tmp_path: Path) -> None:
         BanditConfig(network=SMALL_NET, epochs=2), cells, Behaviour(), tmp_path / "bandit", 2, seed=31
     )
     train_ppo(PpoConfig(rollout=4, batch=4, epochs=1), cells, tmp_path / "ppo", 4, initial=path)
+
+
+def test_cells_may_have_another_bin() -> None:
+    env = Cells(min_parts=1, max_parts=2, bin=(0.3, 0.2, 0.1)).environment()
+    assert env.cell.workspace.inner_size.tolist() == [0.3, 0.2, 0.1]
+    env.close()
+
+
+def test_cells_are_noted_as_json_gives_them_back() -> None:
+    plain = Cells(part="toy", bin=(0.3, 0.2, 0.1)).plain()
+    assert set(plain) == {field.name for field in fields(Cells)}
+    assert plain["bin"] == [0.3, 0.2, 0.1]
+
+
+def test_cells_may_dare_more() -> None:
+    env = Cells(min_parts=1, max_parts=2, daring=0.015).environment()
+    assert env.picker.settings.rank.daring == 0.015
+    env.close()
 
 
 def test_an_epoch_says_how_well_it_does() -> None:
