@@ -32,6 +32,7 @@ class Capture:
         depth_true: (H, W) float32 noise-free depth [m], 0 where there is nothing or outside the region.
         normals: (H, W, 3) float32 unit normals, camera frame, towards the eye, smooth across facets; 0 for nothing.
         region: Half-open rectangle ``(u0, v0, u1, v1)`` of the pixels that were looked at.
+        T_world_cam: (4, 4) where the camera was; the frame has where it is believed to have been.
     """
 
     frame: Frame
@@ -39,6 +40,7 @@ class Capture:
     depth_true: NDArray[np.float32]
     normals: NDArray[np.float32]
     region: tuple[int, int, int, int]
+    T_world_cam: Floats
 
 
 class DepthCamera:
@@ -70,7 +72,6 @@ class DepthCamera:
         self.config = config
         self.workspace = workspace
         self.K = camera_matrix(config.focal_px, config.width, config.height)
-        self.T_world_cam = default_pose(workspace, config.distance)
         self._model = model
         self._geoms = visible_geoms(model)
         self._instances = np.append(instance_of_geom, -1)  # at -1: nothing
@@ -82,8 +83,7 @@ class DepthCamera:
         threads = len(os.sched_getaffinity(0)) if threads is None else threads
         self._rays = RayCaster(model, threads) if config.backend == "rays" else None
         self._egl = EglRenderer(model, config.width, config.height) if config.backend == "egl" else None
-        if T_world_cam is not None:
-            self.move(T_world_cam)
+        self.move(default_pose(workspace, config.distance) if T_world_cam is None else T_world_cam)
 
     def move(self, T_world_cam: Floats) -> None:
         """Put the camera at another (4, 4) pose, OpenCV axes."""
@@ -91,6 +91,12 @@ class DepthCamera:
         if not np.isfinite(T_world_cam).all():
             raise ValueError("T_world_cam must be finite")
         self.T_world_cam = np.array(T_world_cam, np.float64)
+        self.displace(np.zeros(3))
+
+    def displace(self, offset_world: Floats) -> None:
+        """Report a place that is (3,) ``offset_world`` [m] beside the true one, as a bad hand-eye calibration does."""
+        require_shape("offset_world", offset_world, (3,))
+        self.offset_world = np.array(offset_world, np.float64)
 
     def capture(
         self,
@@ -116,7 +122,8 @@ class DepthCamera:
         instance_ids = self._instances[hits.geom_at]
         grey = (light or Light()).shade(depth_true, hits.normals, instance_ids, self.K)
         depth = measures.apply(depth_true, hits.normals, self.K, rng)
-        frame = Frame(grey=grey, depth=depth, K=self.K.copy(), T_world_cam=self.T_world_cam.copy())
+        reported = make_transform(translation=self.offset_world) @ self.T_world_cam
+        frame = Frame(grey=grey, depth=depth, K=self.K.copy(), T_world_cam=reported)
         u0, v0, u1, v1 = (int(x) for x in region)
         return Capture(
             frame=frame,
@@ -124,6 +131,7 @@ class DepthCamera:
             depth_true=depth_true,
             normals=hits.normals,
             region=(u0, v0, u1, v1),
+            T_world_cam=self.T_world_cam.copy(),
         )
 
     def close(self) -> None:

@@ -77,7 +77,7 @@ def visible_fractions(capture: Capture, mesh: trimesh.Trimesh, T_world_parts: Fl
         raise ValueError(f"the capture shows part {capture.instance_ids.max()}, but there are only {count} poses")
     seen = capture.instance_ids[capture.instance_ids >= 0]
     visible = np.bincount(seen, minlength=count)[:count]
-    T_cam_parts = invert_transform(capture.frame.T_world_cam) @ T_world_parts
+    T_cam_parts = invert_transform(capture.T_world_cam) @ T_world_parts
     alone = silhouette_pixels(mesh, T_cam_parts, capture.frame.K, capture.instance_ids.shape, capture.region)
     # The simulation's meshes are single precision: a pixel on the outline may be seen and yet not be counted alone.
     return np.minimum(visible / np.maximum(alone, 1), 1.0) * (alone > 0)

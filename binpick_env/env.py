@@ -34,7 +34,7 @@ _NO_RESET = "there is no frame before the first reset()"
 # What an episode has beside physics, judge, random numbers and events; nothing changes it in place.
 _EPISODE = (
     *("capture", "exposure", "sighting", "candidates", "_candidate_arrays", "render_time", "perception_time"),
-    *("_frame_id", "_frame_time", "_away", "_steps", "total", "delivered", "_np_random_seed"),
+    *("_frame_id", "_frame_time", "_away", "_steps", "total", "delivered", "_np_random_seed", "_hand_eye"),
 )
 HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home that counts as back, and as having left [rad]
 
@@ -90,7 +90,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `num_parts` | `(20, 30)` | number of parts, or the range it is drawn from |
     | `perception` | `"learned"` | `"learned"` (from pixels), `"gt_masks"` (true segments) or `"oracle"` (true poses) |
     | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"`, `"crude"` |
-    | `camera` | `None` | a `CameraConfig` |
+    | `camera` | `None` | a `CameraConfig`; its `hand_eye` puts the camera beside where it is believed to be |
     | `pose_noise` | `None` | the oracle's: a `PoseNoise`, a `PerceptionNoise`, or `"learned"`: errors such as the learned perceiver's of this part and sensor |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
     | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts |
@@ -185,6 +185,8 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._steps = 0
         self._frame_id = -1
         self._away = False
+        spread = self.config.camera.hand_eye
+        self._hand_eye = self.np_random.normal(scale=spread, size=3) if spread > 0 else np.zeros(3)
         self._take_frame()
         return self._observe(), self._info([])
 
@@ -303,6 +305,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         simulation = self.simulation
         simulation.refresh()
         started = time.perf_counter()
+        self.camera.displace(self._hand_eye)
         self.capture = self.camera.capture(simulation.data, self.np_random, self._sensor, self.light)
         poses = simulation.part_poses()
         fractions = visible_fractions(self.capture, self.part.model.mesh, poses) * simulation.in_play

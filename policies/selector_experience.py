@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.config import BinConfig, CellConfig, SensorPreset
+from binpick_env.config import BinConfig, CameraConfig, CellConfig, SensorPreset
 from binpick_env.perceiver import Perception
 from binpick_env.process_map import map_indices
 from perception.files import json_text, replace_atomically
@@ -33,6 +33,7 @@ class Cells:
     fast: bool = False  # leave out the physics of an arm that touches nothing
     max_failures: int = 2  # in a row, that end a bin
     bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; None is the standard bin
+    hand_eye: float = 0.0  # error of the camera's reported place, standard deviation an axis [m]
     daring: float = 0.0  # how deep the gripper may reach into what was seen, where nothing else is left [m]
 
     def environment(self) -> GraspSelectionEnv:
@@ -41,8 +42,9 @@ class Cells:
         num_parts = values.pop("min_parts"), values.pop("max_parts")
         size = values.pop("bin")
         config = None if size is None else CellConfig(bin=BinConfig(inner_size=size))
+        camera = CameraConfig(hand_eye=values.pop("hand_eye"))
         picker = PickerSettings(rank=RankSettings(daring=values.pop("daring")))
-        return GraspSelectionEnv(**values, num_parts=num_parts, config=config, picker=picker, threads=1)
+        return GraspSelectionEnv(**values, num_parts=num_parts, config=config, camera=camera, picker=picker, threads=1)
 
     def plain(self) -> dict[str, Any]:
         """Return the values as they are noted, and as JSON gives them back."""

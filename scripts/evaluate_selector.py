@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 from tqdm import tqdm
 
-from binpick_env.config import SensorPreset
+from binpick_env.config import CameraConfig, SensorPreset
 from binpick_env.perceiver import Perception
 from policies.clearance import RankSettings
 from policies.evaluation import BinError, EvaluationConfig
@@ -38,6 +38,9 @@ class Arguments:
     min_parts: int = 20  # smallest fill of a bin
     max_parts: int = 30  # largest fill
     bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; the standard bin unless given
+    hand_eye_mm: float = (
+        0.0  # error of the camera's reported place, standard deviation an axis, drawn for every bin [mm]
+    )
     daring: float = 0.0  # how deep the gripper may reach into what was seen, where nothing else is left [m]
     workers: int = 1  # processes; each computes on one core
     out: Path | None = None  # folder of the records; runs/selectors-PART-PERCEPTION-SENSOR-SEED unless given
@@ -52,6 +55,7 @@ class Arguments:
             sensor=self.sensor,
             num_parts=(self.min_parts, self.max_parts),
             bin=self.bin,
+            camera=CameraConfig(hand_eye=self.hand_eye_mm / 1000),
             picker=PickerSettings(rank=RankSettings(daring=self.daring)),
         )
 

@@ -48,6 +48,9 @@ class Arguments:
     width: int = 1280  # of the camera's image [px]
     height: int = 960  # [px]
     backend: Backend = CameraConfig().backend  # what renders the camera's frames
+    hand_eye_mm: float = (
+        0.0  # error of the camera's reported place, standard deviation an axis, drawn for every bin [mm]
+    )
     noise_mm: float = 0.0  # the oracle's position error, standard deviation per axis [mm]
     noise_deg: float = 0.0  # the oracle's rotation error, standard deviation [deg]
     fresh: bool = False  # compute every bin again, those that are there already too
@@ -69,7 +72,9 @@ class Arguments:
             perception=self.perception,
             sensor=self.sensor,
             num_parts=(self.min_parts, self.max_parts),
-            camera=CameraConfig(width=self.width, height=self.height, backend=self.backend),
+            camera=CameraConfig(
+                width=self.width, height=self.height, backend=self.backend, hand_eye=self.hand_eye_mm / 1000
+            ),
             pose_noise=PoseNoise(translation=self.noise_mm / 1000, rotation=float(np.radians(self.noise_deg))),
         )
 

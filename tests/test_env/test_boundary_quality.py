@@ -23,6 +23,7 @@ def capture() -> Capture:
         depth_true=depth,
         normals=np.zeros((*SHAPE, 3), np.float32),
         region=(0, 0, SHAPE[1], SHAPE[0]),
+        T_world_cam=np.eye(4),
     )
 
 
