@@ -24,8 +24,9 @@ class Arguments:
     """Let selectors pick the same bins and print how well they did beside each other.
 
     Every bin is kept as it is finished: the same command again goes on where it was stopped. A hard bin is, for one,
-    --part part_b --min-parts 30 --max-parts 30 --sensor harsh. Among the selectors, hindsight tries what is on offer
-    from the same state until something delivers: a bound for the others, at several attempts a decision.
+    --part bracket --min-parts 30 --max-parts 30 --sensor harsh --hand-eye 0.01. Among the selectors, hindsight tries
+    what is on offer from the same state until something delivers: a bound for the others, at several attempts a
+    decision.
     """
 
     part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
@@ -38,9 +39,7 @@ class Arguments:
     min_parts: int = 20  # smallest fill of a bin
     max_parts: int = 30  # largest fill
     bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; the standard bin unless given
-    hand_eye_mm: float = (
-        0.0  # error of the camera's reported place, standard deviation an axis, drawn for every bin [mm]
-    )
+    hand_eye: float = 0.0  # error of the camera's reported place, standard deviation an axis [m]
     daring: float = 0.0  # how deep the gripper may reach into what was seen, where nothing else is left [m]
     workers: int = 1  # processes; each computes on one core
     out: Path | None = None  # folder of the records; runs/selectors-PART-PERCEPTION-SENSOR-SEED unless given
@@ -55,7 +54,7 @@ class Arguments:
             sensor=self.sensor,
             num_parts=(self.min_parts, self.max_parts),
             bin=self.bin,
-            camera=CameraConfig(hand_eye=self.hand_eye_mm / 1000),
+            camera=CameraConfig(hand_eye=self.hand_eye),
             picker=PickerSettings(rank=RankSettings(daring=self.daring)),
         )
 

@@ -48,9 +48,7 @@ class Arguments:
     width: int = 1280  # of the camera's image [px]
     height: int = 960  # [px]
     backend: Backend = CameraConfig().backend  # what renders the camera's frames
-    hand_eye_mm: float = (
-        0.0  # error of the camera's reported place, standard deviation an axis, drawn for every bin [mm]
-    )
+    hand_eye_mm: float = 0.0  # error of the camera's place, standard deviation per axis, drawn for each bin [mm]
     noise_mm: float = 0.0  # the oracle's position error, standard deviation per axis [mm]
     noise_deg: float = 0.0  # the oracle's rotation error, standard deviation [deg]
     fresh: bool = False  # compute every bin again, those that are there already too

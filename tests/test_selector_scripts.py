@@ -90,12 +90,17 @@ def test_selectors_are_trained_and_evaluated(tmp_path: Path, capsys: pytest.Capt
     assert numbers["best_heuristic"] == "weighted"
 
 
-def test_the_bins_size_arrives() -> None:
+def test_what_makes_bins_hard_arrives() -> None:
     train, evaluate = load("train_selector.py"), load("evaluate_selector.py")
     size = ["--bin", "0.3", "0.2", "0.15"]
     assert evaluate.tyro.cli(evaluate.Arguments, args=size).config().bin == (0.3, 0.2, 0.15)
     assert evaluate.tyro.cli(evaluate.Arguments, args=[]).config().bin is None
+    hard = ["--hand-eye", "0.01", "--daring", "0.015", "--sensor", "crude"]
+    config = evaluate.tyro.cli(evaluate.Arguments, args=hard).config()
+    assert (config.camera.hand_eye, config.picker.rank.daring, config.sensor) == (0.01, 0.015, "crude")
     for method in (train.Ppo, train.Bandit):
+        cells = train.tyro.cli(method, args=hard).cells
+        assert (cells.hand_eye, cells.daring, cells.sensor) == (0.01, 0.015, "crude")
         assert train.tyro.cli(method, args=size).cells.bin == (0.3, 0.2, 0.15)
         assert train.tyro.cli(method, args=[]).cells.bin is None
 
