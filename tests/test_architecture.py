@@ -47,7 +47,8 @@ def test_every_package_is_typed() -> None:
     assert all((ROOT / name / "py.typed").is_file() for name in PACKAGES)
 
 
-def test_the_readmes_snippets_run() -> None:
+def test_the_readmes_snippets_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     assert len(SNIPPETS) >= 2
     names: dict[str, object] = {}
     for snippet in SNIPPETS:  # one after the other: the second goes on with the first one's env
