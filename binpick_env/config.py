@@ -10,7 +10,7 @@ from perception.geometry import make_transform, rotation_about
 
 CONTROL_PERIOD = 0.04  # of the environment [s]
 Backend = Literal["rays", "egl", "raster"]
-SensorPreset = Literal["none", "good", "harsh", "crude"]
+SensorPreset = Literal["none", "good", "harsh"]
 
 
 def _require(condition: bool, message: str) -> None:

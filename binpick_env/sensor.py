@@ -76,12 +76,11 @@ class SensorModel:
         return measured
 
 
-# The figures of the presets are the project's definition of a sensor; official results use "good".
+# The figures of the three presets are the project's definition of a sensor; official results use "good".
 PRESETS: dict[SensorPreset, SensorModel] = {
     "none": SensorModel(),
     "good": SensorModel(sigma_z=0.0003, edge_loss=0.02, max_incidence=np.deg2rad(75.0), baseline=0.15),
     "harsh": SensorModel(sigma_z=0.001, edge_loss=0.10, max_incidence=np.deg2rad(65.0), baseline=0.15),
-    "crude": SensorModel(sigma_z=0.0025, edge_loss=0.25, max_incidence=np.deg2rad(60.0), baseline=0.15),
 }
 
 

@@ -17,8 +17,6 @@ from policies.outcomes import GraspCandidate
 from policies.seen_scene import SeenPart, SeenScene
 
 RETREATS = (0.02, 0.04, 0.06)  # poses checked back along the approach [m]
-PENALISED = ("covered", "buried", "intrusion")  # features that count against a grasp
-_DEPTHS = (0.0, 1 / 3, 2 / 3, 1.0)  # of daring: the least that a grasp needs, because wider openings reach deeper
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +28,6 @@ class RankSettings:
 
     max_tilt: float = float(np.radians(50))  # of the approach from the vertical
     margin: float = 0.001  # every point of the gripper stays this much above everything else that was seen
-    daring: float = 0.0  # deeper than that it may reach with a grasp for which it cannot; those come last
     max_opening: float = 0.084
     cell: float = 0.002  # of the height map
     per_candidate: int = 8  # grasps kept of each part
@@ -44,7 +41,6 @@ class RankSettings:
     weight_opening: float = 0.05  # share of the openings that are as wide or narrower
     penalty_covered: float = 0.30  # for known parts above the target, full from two
     penalty_buried: float = 0.20  # for the share of the target's outline over which something higher was measured
-    penalty_intrusion: float = 4.0  # half of it for not being clear, all of it from 20 mm deep
 
     def __post_init__(self) -> None:
         if not 0 < self.max_tilt <= np.pi / 2:
@@ -52,8 +48,6 @@ class RankSettings:
         for name in ("margin", "max_opening", "cell", "per_candidate"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        if not 0 <= self.daring < np.inf:
-            raise ValueError(f"daring must not be negative, got {self.daring}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,15 +166,12 @@ def _open(
     grasps = placed.grasps
     T_bin_tcp = scene.T_bin_world @ gripper.tcp_from_grasp(placed.T_world_grasp, grasps.width)
     fits = grasps.width[:, None] + 2 * grasps.extras <= settings.max_opening
-    allowed = grasps.clear & fits
+    openings = grasps.width, grasps.extras, grasps.clear & fits, np.array(RETREATS)
     tables = gripper.gaps, gripper.points, gripper.labels
-    choice, room = np.full(len(T_bin_tcp), -1), np.full(len(T_bin_tcp), -np.inf)
-    for depth in _DEPTHS if settings.daring > 0 else _DEPTHS[:1]:
-        left = choice < 0
-        openings = grasps.width[left], grasps.extras, allowed[left], np.array(RETREATS)
-        margin = settings.margin - depth * settings.daring
-        choice[left], room[left] = widest_clear(*_cells(scene), T_bin_tcp[left], *openings, *tables, margin)
-    return choice, room
+    found: tuple[NDArray[np.int64], Floats] = widest_clear(
+        *_cells(scene), T_bin_tcp, *openings, *tables, settings.margin
+    )
+    return found
 
 
 def _cells(scene: HeightMap) -> tuple[Floats, Floats, float, float]:
@@ -216,12 +207,11 @@ def _best(
         "vertical": (placed.down[kept] - least) / max(1 - least, 1e-9),
         "wall": np.clip(beside.min(axis=1) / 0.05, 0, 1),
         "clearance": np.clip((found.room - settings.margin) / 0.005, 0, 1),
-        "intrusion": _intrusion(settings.margin - found.room),
         "opening": (found.opening + 1) / len(grasps.extras),
         **{name: np.full(len(kept), value) for name, value in shared.items()},
     }
     score = sum(getattr(settings, f"weight_{name}", 0.0) * value for name, value in features.items())
-    score = score - sum(getattr(settings, f"penalty_{name}") * features[name] for name in PENALISED)
+    score = score - sum(getattr(settings, f"penalty_{name}") * features[name] for name in ("covered", "buried"))
     T_world_tcp = gripper.tcp_from_grasp(T_world_grasp, grasps.width[kept])
     opening = grasps.width[kept] + 2 * grasps.extras[found.opening]
     return [
@@ -236,11 +226,6 @@ def _best(
         )
         for n in _diverse(T_world_grasp, score, settings.per_candidate)
     ]
-
-
-def _intrusion(depth: Floats) -> Floats:
-    """Return (N,) 0 where the gripper stays clear by the margin; else, by how much deeper it is [m], 1/2 to 1."""
-    return np.where(depth > 0, np.clip(0.5 + depth / 0.04, 0, 1), 0.0)
 
 
 def _diverse(T_world_grasp: Floats, score: Floats, count: int) -> list[int]:

@@ -32,7 +32,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
 
     ## Action space
     `Discrete(32)`: the row of the grasp. `action_masks()` and `info["action_mask"]` tell which rows hold one: it is
-    clear of everything that was seen, or as `picker` dares, and the arm reaches it. A row that holds none is an abstention: nothing moves,
+    clear of everything that was seen, and the arm reaches it. A row that holds none is an abstention: nothing moves,
     the reward is -0.1, and it counts as a failure. An action out of the space raises `ValueError`.
 
     The motion is planned when the grasp has been chosen (10 ms, against 0.7 ms for reach alone). One time in fifty there
@@ -43,7 +43,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
 
     | key | shape | meaning |
     | --- | --- | --- |
-    | `grasps` | (32, 32) float32 | the best `per_part` grasps of each part, one a row |
+    | `grasps` | (32, 31) float32 | the best `per_part` grasps of each part, one a row |
     | `mask` | (32,) int8 | 1 for rows that hold a grasp |
 
     Rows stand in the scripted picker's order: row 0 is what it would choose. They say nothing beyond their features, of
@@ -75,8 +75,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
     | 27 | `dexterity` | smallest singular value of the arm's Jacobian in the grasp, over 0.3 |
     | 28 | `suspect` | 1 if an attempt on this part failed before |
     | 29 | `seen` | parts seen, over 32 |
-    | 30 | `intrusion` | 0 where the gripper is clear; otherwise 1/2, and 1 where it reaches 20 mm into what was seen |
-    | 31 | `rank` | the scripted picker's weighted score |
+    | 30 | `rank` | the scripted picker's weighted score |
 
     ## Reward
     +1 if the attempt delivered its part, -0.1 otherwise.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from binpick_env.candidates import MAX_CANDIDATES
 from perception.geometry import Floats, invert_transform, require_shape
-from policies.clearance import PENALISED, RankSettings, clearances
+from policies.clearance import RankSettings, clearances
 from policies.failed_grasps import FailedGrasps
 from policies.gripper import GripperModel
 from policies.outcomes import GraspCandidate
@@ -66,14 +66,9 @@ FEATURES: dict[str, Feature] = {
     "dexterity": _share("of the arm in the grasp: smallest singular value of the tcp's Jacobian over 0.3"),
     "suspect": _share("1 if an attempt on this part failed before"),
     "seen": _share("parts seen in this frame, over 32"),
-    "intrusion": _share("0 where the gripper is clear; otherwise 1/2, and 1 where it reaches 20 mm into what was seen"),
     "rank": _signed("weighted score of the scripted picker"),
 }
-# Those that make the weighted score.
-RANKED = (
-    *("quality", "vertical", "score", "visible", "height", "wall", "clearance", "opening"),
-    *PENALISED,
-)
+RANKED = ("quality", "vertical", "score", "visible", "height", "wall", "clearance", "opening", "covered", "buried")
 LOW = np.array([f.low for f in FEATURES.values()], dtype=np.float32)  # (F,)
 HIGH = np.array([f.high for f in FEATURES.values()], dtype=np.float32)  # (F,)
 
@@ -175,5 +170,5 @@ def _room(scene: GraspScene, grasps: Sequence[GraspCandidate]) -> dict[str, Floa
         room[own] = clearances(free, T_world_tcp[own], opening[own], scene.gripper, width=width[own])
     backwards = _backwards(invert_transform(scene.seen.workspace.T_world_bin) @ T_world_tcp)
     room[backwards, :2] = room[backwards, 1::-1]
-    shares = (room - scene.rank.margin + scene.rank.daring) / ROOMY
+    shares = (room - scene.rank.margin) / ROOMY
     return {f"clearance_{name}": shares[:, k] for k, name in enumerate(("back", "front", "palm"))}

@@ -14,8 +14,6 @@ from binpick_env.config import BinConfig, CameraConfig, CellConfig, SensorPreset
 from binpick_env.perceiver import Perception
 from binpick_env.process_map import map_indices
 from perception.files import json_text, replace_atomically
-from policies.clearance import RankSettings
-from policies.scripted import PickerSettings
 from policies.selection_env import GraspSelectionEnv
 from policies.selectors import load_selector
 
@@ -34,7 +32,6 @@ class Cells:
     max_failures: int = 2  # in a row, that end a bin
     bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; None is the standard bin
     hand_eye: float = 0.0  # error of the camera's reported place, standard deviation an axis [m]
-    daring: float = 0.0  # how deep the gripper may reach into what was seen, where nothing else is left [m]
 
     def environment(self) -> GraspSelectionEnv:
         """Build one; it casts rays on one thread."""
@@ -43,8 +40,7 @@ class Cells:
         size = values.pop("bin")
         config = None if size is None else CellConfig(bin=BinConfig(inner_size=size))
         camera = CameraConfig(hand_eye=values.pop("hand_eye"))
-        picker = PickerSettings(rank=RankSettings(daring=values.pop("daring")))
-        return GraspSelectionEnv(**values, num_parts=num_parts, config=config, camera=camera, picker=picker, threads=1)
+        return GraspSelectionEnv(**values, num_parts=num_parts, config=config, camera=camera, threads=1)
 
     def plain(self) -> dict[str, Any]:
         """Return the values as they are noted, and as JSON gives them back."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from binpick_env.env import BinPickEnv
 from perception.geometry import Floats
-from policies.clearance import PENALISED, RankSettings
+from policies.clearance import RankSettings
 from policies.episode import BinResult, run_bin
 from policies.grasp_menu import PER_PART, GraspMenu, Observation
 from policies.outcomes import Abstention, PickResult
@@ -66,7 +66,7 @@ class WeightedSelector:
         """Return the row of the largest sum."""
         total = np.zeros(len(observation["mask"]))
         for name in RANKED:
-            sign, kind = (-1.0, "penalty") if name in PENALISED else (1.0, "weight")
+            sign, kind = (-1.0, "penalty") if name in ("covered", "buried") else (1.0, "weight")
             total += sign * getattr(self._weights, f"{kind}_{name}") * _column(observation, name)
         return _first_best(observation, total - 10.0 * _column(observation, "suspect"))
 

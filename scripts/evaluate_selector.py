@@ -10,11 +10,9 @@ from tqdm import tqdm
 
 from binpick_env.config import CameraConfig, SensorPreset
 from binpick_env.perceiver import Perception
-from policies.clearance import RankSettings
 from policies.evaluation import BinError, EvaluationConfig
 from policies.jobs import Job
 from policies.records import BinRecord
-from policies.scripted import PickerSettings
 from policies.selector_evaluation import compare_selectors, evaluate_selectors, save_standings, standings_table
 from policies.selectors import SELECTORS
 
@@ -40,7 +38,6 @@ class Arguments:
     max_parts: int = 30  # largest fill
     bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; the standard bin unless given
     hand_eye: float = 0.0  # error of the camera's reported place, standard deviation an axis [m]
-    daring: float = 0.0  # how deep the gripper may reach into what was seen, where nothing else is left [m]
     workers: int = 1  # processes; each computes on one core
     out: Path | None = None  # folder of the records; runs/selectors-PART-PERCEPTION-SENSOR-SEED unless given
     json: Path | None = None  # where to write the numbers; selectors.json in the folder unless given
@@ -55,7 +52,6 @@ class Arguments:
             num_parts=(self.min_parts, self.max_parts),
             bin=self.bin,
             camera=CameraConfig(hand_eye=self.hand_eye),
-            picker=PickerSettings(rank=RankSettings(daring=self.daring)),
         )
 
     def job(self) -> Job:

@@ -95,12 +95,12 @@ def test_what_makes_bins_hard_arrives() -> None:
     size = ["--bin", "0.3", "0.2", "0.15"]
     assert evaluate.tyro.cli(evaluate.Arguments, args=size).config().bin == (0.3, 0.2, 0.15)
     assert evaluate.tyro.cli(evaluate.Arguments, args=[]).config().bin is None
-    hard = ["--hand-eye", "0.01", "--daring", "0.015", "--sensor", "crude"]
+    hard = ["--hand-eye", "0.01", "--sensor", "harsh"]
     config = evaluate.tyro.cli(evaluate.Arguments, args=hard).config()
-    assert (config.camera.hand_eye, config.picker.rank.daring, config.sensor) == (0.01, 0.015, "crude")
+    assert (config.camera.hand_eye, config.sensor) == (0.01, "harsh")
     for method in (train.Ppo, train.Bandit):
         cells = train.tyro.cli(method, args=hard).cells
-        assert (cells.hand_eye, cells.daring, cells.sensor) == (0.01, 0.015, "crude")
+        assert (cells.hand_eye, cells.sensor) == (0.01, "harsh")
         assert train.tyro.cli(method, args=size).cells.bin == (0.3, 0.2, 0.15)
         assert train.tyro.cli(method, args=[]).cells.bin is None
 

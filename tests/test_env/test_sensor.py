@@ -50,7 +50,7 @@ def test_none_is_the_identity() -> None:
     assert rng.random() == np.random.default_rng(0).random()  # nothing was drawn
 
 
-@pytest.mark.parametrize(("preset", "sigma"), [("good", 0.0003), ("harsh", 0.001), ("crude", 0.0025)])
+@pytest.mark.parametrize(("preset", "sigma"), [("good", 0.0003), ("harsh", 0.001)])
 def test_sigma_at_the_reference(preset: str, sigma: float) -> None:
     noise = noise_of(sensor_model(preset), plane(0.9))
     assert noise.std() == pytest.approx(sigma, rel=0.02)
@@ -70,7 +70,7 @@ def test_sigma_grows_with_grazing_angle() -> None:
     assert sigmas[1] / sigmas[0] == pytest.approx(2.0, rel=0.05)
 
 
-@pytest.mark.parametrize(("preset", "limit_deg"), [("good", 75), ("harsh", 65), ("crude", 60)])
+@pytest.mark.parametrize(("preset", "limit_deg"), [("good", 75), ("harsh", 65)])
 def test_nothing_returns_beyond_the_incidence(preset: str, limit_deg: float) -> None:
     sensor = replace(sensor_model(preset), baseline=0.0)
     x = (np.arange(SIZE[1]) - K[0, 2]) / K[0, 0]
@@ -83,7 +83,7 @@ def test_nothing_returns_beyond_the_incidence(preset: str, limit_deg: float) -> 
     assert not np.any(measure(sensor, plane(0.9, -np.deg2rad(limit_deg + 9))))
 
 
-@pytest.mark.parametrize(("preset", "share"), [("good", 0.02), ("harsh", 0.10), ("crude", 0.25)])
+@pytest.mark.parametrize(("preset", "share"), [("good", 0.02), ("harsh", 0.10)])
 def test_share_of_lost_edge_pixels(preset: str, share: float) -> None:
     sensor = replace(sensor_model(preset), baseline=0.0)
     lost = np.stack([measure(sensor, step(0.8, 0.9), seed) == 0 for seed in range(40)])
@@ -181,7 +181,7 @@ def test_chance_does_not_depend_on_the_scene() -> None:
         (lambda: SensorModel(edge_loss=2), r"edge_loss must be in \[0, 1\], got 2"),
         (lambda: SensorModel(max_incidence=2), r"max_incidence must be in \(0, pi / 2\], got 2"),
         (lambda: SensorModel(baseline=2), "baseline must be within 1 m, got 2"),
-        (lambda: sensor_model("fine"), "sensor must be one of none, good, harsh, crude or a SensorModel, got 'fine'"),
+        (lambda: sensor_model("fine"), "sensor must be one of none, good, harsh or a SensorModel, got 'fine'"),
         (lambda: measure(QUIET, (plane(1)[0], plane(1)[1][:9])), r"normals must be \(480, 640, 3\)"),
         (lambda: measure(QUIET, (plane(1)[0][0], plane(1)[1])), r"depth_true must be \(N, N\)"),
         (lambda: measure(QUIET, plane(1), K=np.eye(4)), r"K must be \(3, 3\), got \(4, 4\)"),

@@ -265,40 +265,6 @@ def test_a_walled_in_part_has_no_clear_approach(cell, part, grasps, gripper):
     assert stats.blocked > 0
 
 
-def test_daring_offers_what_reaches_no_deeper(cell, part, grasps, gripper):
-    frame_of = [box((0.3, 0.06, 0.05), placed(0, s * 0.056, 0.025)) for s in (-1, 1)]
-    frame_of += [box((0.1, 0.052, 0.05), placed(s * 0.066, 0, 0.025)) for s in (-1, 1)]
-    found = {}
-    for daring in (0.0, 0.03, 0.045):
-        rank = RankSettings(daring=daring, per_candidate=1000)
-        found[daring], _ = ranked(cell, part, grasps, [placed(0, 0, 0.02)], gripper, others=frame_of, settings=rank)
-    assert found[0.0] == []
-    assert 0 < len(found[0.03]) < len(found[0.045])
-    heights = HeightMap.from_frame(look(cell, frame_of), cell)
-    for daring in (0.03, 0.045):
-        T_world_tcp = np.stack([g.T_world_tcp for g in found[daring]])
-        opening, width = (np.array([getattr(g, name) for g in found[daring]]) for name in ("opening", "width"))
-        depth = 0.001 - clearances(heights, T_world_tcp, opening, gripper, width=width).min(axis=1)
-        assert np.all((depth > 0) & (depth <= daring + 1e-9))
-        noted = np.array([g.features["intrusion"] for g in found[daring]])
-        np.testing.assert_allclose(noted, np.minimum(0.5 + depth / 0.04, 1), atol=1e-9)
-        assert np.all(np.diff([g.score for g in found[daring]]) <= 0)
-
-
-def test_grasps_that_need_daring_come_after_the_clear_ones(cell, part, grasps, gripper):
-    poses = [placed(0, 0, 0.02), placed(0.0301, 0, 0.02)]
-    clear, stats = ranked(cell, part, grasps, poses, gripper, settings=RankSettings(per_candidate=100))
-    rank = RankSettings(daring=0.03, per_candidate=100)
-    every, more = ranked(cell, part, grasps, poses, gripper, settings=rank)
-    assert more.clear > stats.clear
-    assert len(every) > len(clear)
-    for one, other in zip(clear, every, strict=False):
-        np.testing.assert_array_equal(one.T_world_tcp, other.T_world_tcp)
-        assert (one.score, one.features) == (other.score, other.features)
-        assert one.features["intrusion"] == 0
-    assert all(g.features["intrusion"] >= 0.5 for g in every[len(clear) :])
-
-
 def test_a_narrow_gap_narrows_the_opening(cell, part, grasps, gripper):
     walls = [box((0.01, 0.2, 0.012), placed(s * (0.015 + 0.014 + 0.005), 0, 0.006)) for s in (-1, 1)]  # 14 mm a side
 
@@ -361,7 +327,6 @@ def test_a_strict_tilt_rejects_more(cell, part, grasps, gripper):
         ({"max_tilt": 2.0}, "max_tilt must be in"),
         ({"margin": 0.0}, "margin must be positive, got 0.0"),
         ({"per_candidate": 0}, "per_candidate must be positive"),
-        ({"daring": -0.001}, "daring must not be negative, got -0.001"),
     ],
 )
 def test_settings_reject_nonsense(wrong, text):

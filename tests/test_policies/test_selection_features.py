@@ -213,6 +213,6 @@ def test_each_grasp_needs_its_dexterity(alone: GraspScene) -> None:
 
 def test_columns_have_names() -> None:
     assert column("x") == 0
-    assert column("rank") == len(FEATURES) - 1 == 31
+    assert column("rank") == len(FEATURES) - 1 == 30
     with pytest.raises(ValueError, match=r"there is no feature 'weight'; there are x, y, z, .*rank"):
         column("weight")

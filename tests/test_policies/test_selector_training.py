@@ -161,9 +161,8 @@ def test_cells_are_noted_as_json_gives_them_back() -> None:
     assert plain["bin"] == [0.3, 0.2, 0.1]
 
 
-def test_cells_may_dare_more_and_see_worse() -> None:
-    env = Cells(min_parts=1, max_parts=2, daring=0.015, hand_eye=0.01).environment()
-    assert env.picker.settings.rank.daring == 0.015
+def test_cells_may_see_worse() -> None:
+    env = Cells(min_parts=1, max_parts=2, hand_eye=0.01).environment()
     assert env.cell.config.camera.hand_eye == 0.01
     env.close()
 
