@@ -59,7 +59,7 @@ class CameraConfig:
     height: int = 960  # [px]
     focal: float = 2400.0  # [px] at 1280 wide; scaled with `width`
     distance: float = 0.9  # from the bin's floor [m]
-    hand_eye: float = 0.0  # error of the reported place, standard deviation an axis [m]; drawn anew for every bin
+    hand_eye: float = 0.0  # shift of the reported place, standard deviation an axis [m]; drawn anew for every bin
     backend: Backend = "raster"  # the same picture as "rays", mj_multiRay's reference, ten times faster; "egl" needs GL
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class CameraConfig:
         _require(self.width >= 16 and self.height >= 16, f"the image must be at least 16 x 16, got {size}")
         _require(self.focal > 0, f"focal must be positive, got {self.focal}")
         _require(self.distance > 0.2, f"distance must exceed 0.2 m, got {self.distance}")
-        _require(0 <= self.hand_eye <= 0.05, f"hand_eye must be from 0 to 0.05 m, got {self.hand_eye}")
+        _require(0 <= self.hand_eye <= 0.015, f"hand_eye must be from 0 to 0.015 m, got {self.hand_eye}")
         known = get_args(Backend)
         _require(self.backend in known, f"backend must be one of {', '.join(known)}, got {self.backend!r}")
 

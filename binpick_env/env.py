@@ -24,7 +24,7 @@ from binpick_env.settle import drop_and_settle
 from binpick_env.shading import Light
 from binpick_env.sighting import Sighting
 from binpick_env.simulation import Simulation
-from binpick_env.snapshot import NOBODY, Snapshot, moved_judge
+from binpick_env.snapshot import Snapshot
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, quat_from_matrix
 
@@ -270,11 +270,14 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         return self._observe()
 
     def snapshot(self) -> Snapshot:
-        """Return the whole state of the cell, its last frame and its random numbers included, to go back to."""
+        """Return the state of the cell, its last frame and its random numbers included, to go back to.
+
+        Light, sensor and the camera's true place are the cell's own, and stay as they are.
+        """
         self._require_reset()
         return Snapshot(
             simulation=self.simulation.snapshot(),
-            judge=moved_judge(self._judge, self.simulation, NOBODY),
+            judge=self._judge.state(),
             random=dict(self.np_random.bit_generator.state),
             events=tuple(self.events),
             episode={name: getattr(self, name) for name in _EPISODE},
@@ -289,7 +292,8 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             ValueError: It is of another cell; nothing has changed then.
         """
         self.simulation.restore(snapshot.simulation)
-        self._judge = moved_judge(snapshot.judge, NOBODY, self.simulation)
+        self._judge = DeliveryJudge(self.simulation, CONTROL_PERIOD)
+        self._judge.restore(snapshot.judge)
         self.np_random.bit_generator.state = snapshot.random
         self.events = list(snapshot.events)
         for name, value in snapshot.episode.items():
@@ -315,6 +319,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             part=self.part.model,
             T_world_parts=poses,
             visible_fractions=fractions,
+            hand_eye=self._hand_eye,
         )
         rendered = time.perf_counter()
         self.sighting: Sighting = self._perceiver.perceive(self.exposure, self.np_random)

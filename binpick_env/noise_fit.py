@@ -68,7 +68,7 @@ def sight(view: Exposure, sighting: Sighting) -> FrameSighting:
         best = max(own, key=lambda k: sighting.candidates[k].score)
         first.add(best)
         candidate = sighting.candidates[best]
-        error = pose_error(candidate.T_world_part, view.T_world_parts[i], view.part)
+        error = pose_error(candidate.T_world_part, view.T_reported_parts[i], view.part)
         parts.append(
             PartSighting(
                 visible=visible,

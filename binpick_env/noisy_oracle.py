@@ -38,7 +38,7 @@ class NoisyOraclePerceiver:
         visible = fraction + noise.visible_bias + noise.visible_sigma * rng.normal()
         return make_candidate(
             view,
-            displaced(view, view.T_world_parts[i], translation, rotation, rng),
+            displaced(view, view.T_reported_parts[i], translation, rotation, rng),
             score=score,
             visible_fraction=float(np.clip(visible, 0.0, 1.0)),
             fill=fraction * noise.fill_ratio,
@@ -47,7 +47,7 @@ class NoisyOraclePerceiver:
 
     def _false(self, view: Exposure, seen: list[int], rng: np.random.Generator) -> PoseCandidate:
         """Return a pose that is no part's: in any attitude, up to a radius from the centre of one."""
-        near = view.T_world_parts[seen[rng.integers(len(seen))]]
+        near = view.T_reported_parts[seen[rng.integers(len(seen))]]
         T_world_part = near @ make_transform(random_rotation(rng))
         shift = rng.normal(size=3)
         shift *= 0.5 * view.part.d_max * rng.random() / np.linalg.norm(shift)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from binpick_env.simulation import Simulation
 from perception.frame import Workspace
-from perception.geometry import make_transform
+from perception.geometry import Floats, make_transform
 
 OPEN_BELOW = 0.35  # gripper command under which the jaw counts as opening
 REST_SPEED = 0.02  # under which a part counts as at rest [m/s]
@@ -40,6 +40,25 @@ class DeliveryEvent:
     time: float
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JudgeState:
+    """What a `DeliveryJudge` remembers; nothing changes it.
+
+    Attributes:
+        entered: Parts that came over the tray since the gripper last opened.
+        unreleased: Parts that fell into the tray before that.
+        still: (capacity,) how long each part has been at rest [s].
+        outside: (capacity,) for how long it has been at rest or falling outside of bin and tray [s].
+        was_open: Whether the jaw was opening.
+    """
+
+    entered: frozenset[int]
+    unreleased: frozenset[int]
+    still: Floats
+    outside: Floats
+    was_open: bool
+
+
 class DeliveryJudge:
     """Watches the tray: who entered since the gripper last opened, who is at rest; parks those that are judged."""
 
@@ -56,6 +75,22 @@ class DeliveryJudge:
         self._still = np.zeros(count)
         self._outside = np.zeros(count)
         self._was_open = True
+
+    def state(self) -> JudgeState:
+        """Return what is remembered."""
+        return JudgeState(
+            entered=frozenset(self._entered),
+            unreleased=frozenset(self._unreleased),
+            still=self._still.copy(),
+            outside=self._outside.copy(),
+            was_open=self._was_open,
+        )
+
+    def restore(self, state: JudgeState) -> None:
+        """Remember what was remembered then."""
+        self._entered, self._unreleased = set(state.entered), set(state.unreleased)
+        self._still, self._outside = state.still.copy(), state.outside.copy()
+        self._was_open = state.was_open
 
     def inside_tray(self) -> NDArray[np.bool_]:
         """Return the (capacity,) mask of parts in play whose centre is in the tray, up to its rim."""

@@ -1,6 +1,6 @@
 """The observation pipeline behind one Protocol: from what the camera saw to pose candidates."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol, get_args
 
 import numpy as np
@@ -28,6 +28,7 @@ class Exposure:
         part: What lies in it.
         T_world_parts: (N, 4, 4) true poses.
         visible_fractions: (N,) true, 0 for parts out of play.
+        hand_eye: (3,) from the camera's true place to its reported one, world axes [m].
     """
 
     capture: Capture
@@ -35,6 +36,14 @@ class Exposure:
     part: PartModel
     T_world_parts: Floats
     visible_fractions: NDArray[np.float64]
+    hand_eye: Floats = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def T_reported_parts(self) -> Floats:
+        """(N, 4, 4) where the parts are by the camera's reported place: what perception can know at best."""
+        moved = self.T_world_parts.copy()
+        moved[:, :3, 3] += self.hand_eye
+        return moved
 
 
 class Perceiver(Protocol):
@@ -63,7 +72,10 @@ class PoseNoise:
 
 
 class OraclePerceiver:
-    """True poses of the parts that are visible enough, with pose noise of a stated size where wanted."""
+    """True poses of the parts that are visible enough, with pose noise of a stated size where wanted.
+
+    True by the camera's reported place: an error of the hand-eye calibration is the oracle's, too.
+    """
 
     def __init__(self, noise: PoseNoise | None = None, offered_from: float = OFFERED_FROM) -> None:
         self._noise = noise or PoseNoise()
@@ -76,7 +88,7 @@ class OraclePerceiver:
         return Sighting(candidates=[self._candidate(view, i, rng) for i in seen])
 
     def _candidate(self, view: Exposure, i: int, rng: np.random.Generator) -> PoseCandidate:
-        T_world_part = view.T_world_parts[i].copy()
+        T_world_part = view.T_reported_parts[i]
         if self._noise.translation > 0:
             T_world_part[:3, 3] += self._noise.translation * rng.normal(size=3)
         if self._noise.rotation > 0:

@@ -83,6 +83,7 @@ class Simulation:
         # (0.2 s), feeding the links' inertia forward what is left (15 mrad at 10 rad/s^2), as a real controller does.
         self._stiffness = model.actuator_gainprm[:6, 0]
         self._lag = -model.actuator_biasprm[:6, 2] / self._stiffness
+        self._origin = Origin.of(model, self.config, self.part.model.name, self.capacity)
 
     # --- state -----------------------------------------------------------------------------------------------------
 
@@ -104,7 +105,7 @@ class Simulation:
         data = mujoco.MjData(self.model)
         mujoco.mj_copyData(data, self.model, self.data)
         return SimulationSnapshot(
-            origin=self._origin(),
+            origin=self._origin,
             data=data,
             in_play=self.in_play.copy(),
             target=self.target.copy(),
@@ -118,16 +119,12 @@ class Simulation:
         Raises:
             ValueError: It is of another cell.
         """
-        self._origin().require(snapshot.origin)
+        self._origin.require(snapshot.origin)
         mujoco.mj_copyData(self.data, self.model, snapshot.data)
         self.in_play = snapshot.in_play.copy()
         self.model.body_gravcomp[self._part_body] = np.where(self.in_play, 0.0, 1.0)
         self.target, self._target_before = snapshot.target.copy(), snapshot.target_before.copy()
         self.gripper_target = snapshot.gripper_target
-
-    def _origin(self) -> Origin:
-        model = int(self.model.signature)
-        return Origin(part=self.part.model.name, parts=self.capacity, model=model, config=self.config)
 
     def refresh(self) -> None:
         """Bring the bodies' poses up to date with the joints': the last step left them one time step behind."""

@@ -1,5 +1,6 @@
 """The state of the physics, to go back to, and the cell that it belongs to."""
 
+import hashlib
 from dataclasses import dataclass, fields
 
 import mujoco
@@ -18,13 +19,24 @@ class Origin:
         part: Name.
         parts: How many there is room for.
         model: MuJoCo's signature of bodies, joints and geoms.
+        shapes: Hash of sizes, meshes and masses.
         config: Every setting.
     """
 
     part: str
     parts: int
     model: int
+    shapes: str
     config: CellConfig
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, config: CellConfig, part: str, parts: int) -> "Origin":
+        """Return what states of a model belong to."""
+        shapes = hashlib.sha256()
+        for values in (model.geom_size, model.mesh_vert, model.body_mass, model.body_inertia):
+            shapes.update(np.ascontiguousarray(values).tobytes())
+        signature = int(model.signature)
+        return cls(part=part, parts=parts, model=signature, shapes=shapes.hexdigest()[:12], config=config)
 
     def require(self, other: "Origin") -> None:
         """Raise unless a state of ``other`` is one of this cell, too.
@@ -39,7 +51,7 @@ class Origin:
 
     def _facts(self) -> dict[str, object]:
         settings = {each.name: getattr(self.config, each.name) for each in fields(self.config)}
-        return {"part": self.part, "parts": self.parts, "model": self.model} | settings
+        return {"part": self.part, "parts": self.parts, **settings, "model": self.model, "shapes": self.shapes}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,3 +73,7 @@ class SimulationSnapshot:
     target: Floats
     target_before: Floats
     gripper_target: float
+
+    def __reduce__(self) -> str:
+        """Refuse to be copied or sent: MuJoCo's own pickling forgets who sleeps."""
+        raise TypeError("a snapshot belongs to the process that took it: it can be neither copied nor pickled")

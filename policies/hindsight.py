@@ -112,8 +112,8 @@ class HindsightTally:
     """What came of decisions that were made with hindsight, abstentions left out.
 
     Attributes:
-        first: In how many the first row delivered.
-        another: In how many the first row failed and another one delivered.
+        first: In how many the first attempt delivered.
+        another: In how many the first attempt failed and another one delivered.
         none: In how many none delivered.
         tries: Attempts made in all of them, those that were undone included.
     """
@@ -131,7 +131,7 @@ class HindsightTally:
     def __str__(self) -> str:
         """Say it in a sentence."""
         return (
-            f"of {self.decisions} decisions with hindsight, the first row delivered in {self.first}, only another one "
+            f"of {self.decisions} decisions with hindsight, the first attempt delivered in {self.first}, only another "
             f"in {self.another}, none in {self.none}; {self.tries} attempts were tried"
         )
 
@@ -139,7 +139,7 @@ class HindsightTally:
 def hindsight_tally(records: Sequence[BinRecord]) -> HindsightTally:
     """Count the decisions of a `HindsightPicker`, from the records of its bins."""
     attempts = [pick for record in records for pick in record.attempts]
-    tries = [round(pick.features.get(TRIED, 1)) for pick in attempts]
+    tries = [round(pick.features[TRIED]) for pick in attempts]
     delivered = [n for n, pick in zip(tries, attempts, strict=True) if pick.outcome is GraspOutcome.DELIVERED]
     first = delivered.count(1)
     return HindsightTally(

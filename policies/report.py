@@ -7,6 +7,7 @@ from pathlib import Path
 from binpick_env.report_style import bars, figure, page, table, tag, tile
 from binpick_env.text_tables import number, percent, spread
 from perception.files import write_atomically
+from policies.conditions import conditions
 from policies.gallery import colour, gallery, linked_bars, relative_folder, strip, title
 from policies.outcomes import GraspOutcome
 from policies.records import BinRecord, PickRecord
@@ -43,7 +44,7 @@ def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pic
     sections = [
         f"<h1>Bin picking: {escape(part)}</h1>",
         f"<p>{summary.bins} bins of {config['num_parts'][0]} to {config['num_parts'][1]} parts · "
-        f"perception {config['perception']} · sensor {config['sensor']} · frames by {summary.camera_backend} · "
+        f"perception {' · '.join(conditions(config))} · frames by {summary.camera_backend} · "
         f"seed {summary.seed}</p>",
         _headline(summary),
         _sight(summary),

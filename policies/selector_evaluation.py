@@ -50,7 +50,7 @@ def selector_names(specs: Sequence[str]) -> dict[str, str]:
         if spec in (*SELECTORS, HINDSIGHT):
             names[spec] = spec
             continue
-        path = selector_path(spec)
+        path = selector_path(spec, HINDSIGHT)
         names[spec] = f"{path.stem}-{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}"
     if len(set(names.values())) != len(specs):
         raise ValueError(f"every selector may be evaluated once, got {', '.join(specs)}")
@@ -97,7 +97,7 @@ class Standing:
         dr_gap: DR minus the best heuristic's, paired by bins; None for that heuristic itself.
         gsr_gap: Likewise the GSR.
         reached: Share of hindsight's gain in DR over the best heuristic that is this one's; None without hindsight, or
-            where that gains nothing.
+            where the interval of that gain reaches down to 0.
         tally: What its decisions came to, for hindsight itself.
     """
 
@@ -127,21 +127,17 @@ def compare_selectors(records: Records, seed: int = 0) -> tuple[str, dict[str, S
         raise ValueError("the selectors were not evaluated on the same bins")
     plain = {name: _standing(own) for name, own in records.items()}
     best = max(heuristics, key=lambda name: plain[name].dr.value or 0.0)
-    bound = plain.get(HINDSIGHT)
-    compared = {}
+    compared = {best: plain[best]}
     for name, own in records.items():
-        compared[name] = replace(plain[name], reached=_reached(plain[name], plain[best], bound))
         if name == best:
             continue
         rng = np.random.default_rng(seed)
         compared[name] = replace(
-            compared[name],
+            plain[name],
             dr_gap=paired_ratio_difference(_deliveries(own), _deliveries(records[best]), rng),
             gsr_gap=paired_ratio_difference(_successes(own), _successes(records[best]), rng),
         )
-    if bound is not None:
-        compared[HINDSIGHT] = replace(compared[HINDSIGHT], tally=hindsight_tally(records[HINDSIGHT]))
-    return best, compared
+    return best, _against_the_bound(compared, records)
 
 
 def standings_table(best: str, standings: dict[str, Standing]) -> str:
@@ -198,10 +194,17 @@ def _standing(records: Sequence[BinRecord]) -> Standing:
     return Standing(dr=rate(int(delivered), int(parts)), gsr=rate(int(successes), int(attempts)), bins=len(records))
 
 
-def _reached(own: Standing, best: Standing, bound: Standing | None) -> float | None:
-    """Return how much of the way from the best heuristic's DR to the bound's a selector has come."""
-    dr, start, end = (0.0 if each is None else each.dr.value or 0.0 for each in (own, best, bound))
-    return (dr - start) / (end - start) if bound is not None and end > start else None
+def _against_the_bound(compared: dict[str, Standing], records: Records) -> dict[str, Standing]:
+    """Note how much of the way from the best heuristic's DR to the bound's each has come, if the way is not chance."""
+    bound = compared.get(HINDSIGHT)
+    if bound is None:
+        return compared
+    compared = compared | {HINDSIGHT: replace(bound, tally=hindsight_tally(records[HINDSIGHT]))}
+    gain, low, _ = bound.dr_gap or (0.0, 0.0, 0.0)
+    if not low > 0:
+        return compared
+    own_gains = {name: 0.0 if own.dr_gap is None else own.dr_gap[0] for name, own in compared.items()}
+    return {name: replace(own, reached=own_gains[name] / gain) for name, own in compared.items()}
 
 
 def _deliveries(records: Sequence[BinRecord]) -> Floats:

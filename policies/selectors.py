@@ -123,8 +123,12 @@ def load_selector(spec: str) -> Selector:
     return LearnedSelector(selector_path(spec))
 
 
-def selector_path(spec: str) -> Path:
+def selector_path(spec: str, *others: str) -> Path:
     """Return the file of a trained selector.
+
+    Args:
+        spec: Path to a ``.safetensors`` file, or the name of one of the shipped ones.
+        others: What else the caller would have taken; the error names it.
 
     Raises:
         ValueError: There is no such file; the text names those that there are.
@@ -133,7 +137,7 @@ def selector_path(spec: str) -> Path:
         if path.suffix == ".safetensors" and path.is_file():
             return path
     shipped = sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
-    known = ", ".join([*SELECTORS, *shipped])
+    known = ", ".join([*SELECTORS, *others, *shipped])
     raise ValueError(f"a selector must be one of {known}, or the path of a .safetensors file, got {spec!r}")
 
 

@@ -175,7 +175,7 @@ def _judge(exposure: Exposure, candidate: PoseCandidate, found: int, overlap: fl
     part, score = candidate.part, float(candidate.score)
     if part < 0:
         return CandidateRecord(part=-1, score=score, right=False, found=found, overlap=overlap)
-    error = pose_error(candidate.T_world_part, exposure.T_world_parts[part], exposure.part)
+    error = pose_error(candidate.T_world_part, exposure.T_reported_parts[part], exposure.part)
     return CandidateRecord(
         part=part,
         score=score,
@@ -190,7 +190,7 @@ def _judge(exposure: Exposure, candidate: PoseCandidate, found: int, overlap: fl
 def _found(exposure: Exposure, candidates: Sequence[PoseCandidate]) -> list[int]:
     """Return for each of E candidates the part in sight that it is the best-scored right pose of, -1 for none."""
     T_world: Floats = np.array([candidate.T_world_part for candidate in candidates]).reshape(-1, 4, 4)
-    distances = recognition_distances(T_world, exposure.T_world_parts, exposure.part)
+    distances = recognition_distances(T_world, exposure.T_reported_parts, exposure.part)
     distances[:, exposure.visible_fractions <= 0] = np.inf
     scores = np.array([candidate.score for candidate in candidates], np.float64)
     verdicts = judge_poses(distances, scores, np.ones(distances.shape[1], np.bool_), np.inf)

@@ -7,6 +7,7 @@ import numpy as np
 
 from binpick_env.parts import Part
 from binpick_env.text_tables import WIDTH, number, percent, spread
+from policies.conditions import conditions
 from policies.records import BinRecord
 from policies.statistics import Interval
 from policies.summary import Summary
@@ -17,8 +18,7 @@ _BAR = 24
 def result_table(summary: Summary) -> str:
     """Return the table that ends the main job."""
     config = summary.config
-    facts = (config["part"], config["perception"], f"sensor {config['sensor']}", f"{summary.bins} bins")
-    title = " · ".join([*facts, f"seed {summary.seed}"])
+    title = " · ".join([config["part"], *conditions(config), f"{summary.bins} bins", f"seed {summary.seed}"])
     lines = [
         title,
         "═" * WIDTH,

@@ -2,7 +2,7 @@
 
 import logging
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import tyro
@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from binpick_env.config import CameraConfig, SensorPreset
 from binpick_env.perceiver import Perception
+from policies.conditions import conditions
 from policies.evaluation import BinError, EvaluationConfig
 from policies.jobs import Job
 from policies.records import BinRecord
@@ -73,12 +74,14 @@ def main(args: Arguments) -> int:
 
             records = evaluate_selectors(config, job, args.selectors, on_bin)
         best, standings = compare_selectors(records, args.seed)
+        title = " · ".join([args.part, *conditions(asdict(config)), f"{args.bins} bins", f"seed {args.seed}"])
     except KeyboardInterrupt:
         print("\nstopped; finished bins are kept: the same command goes on from there", file=sys.stderr)
         return 130
     except (BinError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    print(title)
     print(standings_table(best, standings))
     path = args.json or job.out / "selectors.json"
     save_standings(path, config, best, standings, records)

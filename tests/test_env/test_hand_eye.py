@@ -34,10 +34,9 @@ def test_the_pixels_are_those_of_the_true_place() -> None:
 
 
 def test_what_is_true_of_the_parts_stays_true() -> None:
-    env = wrong_env(0.05, sensor="none")
+    env = wrong_env(0.015, sensor="none")
     env.reset(seed=3)
     fractions = env.exposure.visible_fractions
-    env.config = small_env().config
     env._hand_eye = np.zeros(3)
     env.look()
     np.testing.assert_array_equal(env.exposure.visible_fractions, fractions)
@@ -78,7 +77,27 @@ def test_without_an_error_nothing_is_drawn() -> None:
     assert plain.np_random.bit_generator.state == wrong.np_random.bit_generator.state
 
 
-@pytest.mark.parametrize("hand_eye", [-0.001, 0.06, float("nan")])
+@pytest.mark.parametrize("hand_eye", [-0.001, 0.016, float("nan")])
 def test_nonsense_is_refused(hand_eye: float) -> None:
-    with pytest.raises(ValueError, match=r"hand_eye must be from 0 to 0\.05 m, got"):
+    with pytest.raises(ValueError, match=r"hand_eye must be from 0 to 0\.015 m, got"):
         CameraConfig(hand_eye=hand_eye)
+
+
+def test_the_oracle_is_as_far_off() -> None:
+    env = wrong_env(0.015, sensor="none")
+    env.reset(seed=3)
+    assert env.candidates
+    for candidate in env.candidates:
+        true = env.exposure.T_world_parts[candidate.part]
+        np.testing.assert_allclose(candidate.T_world_part[:3, :3], true[:3, :3], atol=1e-12)
+        np.testing.assert_allclose(candidate.T_world_part[:3, 3] - true[:3, 3], offset(env), atol=1e-12)
+
+
+def test_perception_is_not_blamed_for_it() -> None:
+    env = wrong_env(0.015, sensor="none")
+    env.reset(seed=3)
+    for candidate in env.candidates:
+        np.testing.assert_allclose(env.exposure.T_reported_parts[candidate.part], candidate.T_world_part, atol=1e-12)
+    exact = small_env()
+    exact.reset(seed=3)
+    np.testing.assert_array_equal(exact.exposure.T_reported_parts, exact.exposure.T_world_parts)

@@ -1,15 +1,22 @@
 """Going back to a state: what follows is the same to the bit, and nothing of what came between is left."""
 
+import copy
+import pickle
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from small_cell import REST, above_tray, act, assert_same, random_actions, small_env, small_simulation
 
 from binpick_env.config import BinConfig, CellConfig
 from binpick_env.env import BinPickEnv
 from binpick_env.outcomes import Delivery
+from binpick_env.parts import load_part
 from binpick_env.robot import HOME
+from binpick_env.simulation import Simulation
 
 
 @pytest.fixture
@@ -156,3 +163,22 @@ def test_snapshots_of_another_cell_are_refused(env: BinPickEnv) -> None:
 def test_there_is_no_state_before_the_first_reset() -> None:
     with pytest.raises(RuntimeError, match=r"there is no frame before the first reset\(\)"):
         small_env().snapshot()
+
+
+@pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_snapshot_stays_where_it_was_taken(env: BinPickEnv, take: Callable[[object], object]) -> None:
+    with pytest.raises(TypeError, match="belongs to the process that took it"):
+        take(env.snapshot().simulation)
+
+
+def test_a_part_of_the_same_name_is_another(tmp_path: Path) -> None:
+    cells = []
+    for folder, size in (("a", (0.06, 0.03, 0.03)), ("b", (0.05, 0.03, 0.02))):
+        path = tmp_path / folder / "block.stl"
+        path.parent.mkdir()
+        trimesh.creation.box(size).export(path)
+        cells.append(Simulation(CellConfig(), load_part(str(path)), 1))
+    assert cells[0].part.model.name == cells[1].part.model.name
+    with pytest.raises(ValueError, match=r"the snapshot is of another cell \(.*shapes: \w+ there, \w+ here"):
+        cells[1].restore(cells[0].snapshot())
+    cells[0].restore(cells[0].snapshot())

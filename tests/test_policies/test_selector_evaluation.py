@@ -105,9 +105,10 @@ def test_the_comparison_is_with_the_best_heuristic_and_paired(tmp_path: Path) ->
 
 
 def with_tries(record: BinRecord, *tries: int) -> BinRecord:
-    """Let the first attempts of a bin have been kept from so many."""
-    picks = [replace(p, features={TRIED: float(n)}) for p, n in zip(record.picks, tries, strict=False)]
-    return replace(record, picks=(*picks, *record.picks[len(tries) :]))
+    """Let the first attempts of a bin have been kept from so many, the others from one each."""
+    counts = [*tries, *[1] * len(record.picks)]
+    picks = [replace(pick, features={TRIED: float(n)}) for pick, n in zip(record.picks, counts, strict=False)]
+    return replace(record, picks=tuple(picks))
 
 
 def test_hindsight_is_a_bound_and_no_heuristic(tmp_path: Path) -> None:
@@ -141,15 +142,16 @@ def test_hindsight_is_a_bound_and_no_heuristic(tmp_path: Path) -> None:
 
 def test_without_a_gain_there_is_no_share(tmp_path: Path) -> None:
     own = evaluated(tmp_path, 2, ("random",))["random"]
-    records = {"random": [scored(r, 8) for r in own], "hindsight": [scored(r, 8) for r in own]}
-    best, standings = compare_selectors(records)
-    assert [each.reached for each in standings.values()] == [None, None]
+    for gained in ((8, 8), (10, 8), (10, 7)):  # nothing, or what chance may have gained
+        seen = [scored(with_tries(r), n) for r, n in zip(own, gained, strict=True)]
+        best, standings = compare_selectors({"random": [scored(r, 8) for r in own], "hindsight": seen})
+        assert [each.reached for each in standings.values()] == [None, None]
     assert "%" not in standings_table(best, standings).splitlines()[1].split("best heuristic")[-1]
     best, standings = compare_selectors({"random": own})
     assert standings["random"].reached is None
     assert "bound" not in standings_table(best, standings)
     with pytest.raises(ValueError, match="a heuristic is needed to compare with"):
-        compare_selectors({"hindsight": own})
+        compare_selectors({"hindsight": [with_tries(r) for r in own]})
 
 
 def test_hindsights_bins_are_kept_with_their_tries(tmp_path: Path) -> None:
