@@ -90,7 +90,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `num_parts` | `(20, 30)` | number of parts, or the range it is drawn from |
     | `perception` | `"learned"` | `"learned"` (from pixels), `"gt_masks"` (true segments) or `"oracle"` (true poses) |
     | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"` |
-    | `camera` | `None` | a `CameraConfig`; its `hand_eye` puts the camera beside where it is believed to be |
+    | `camera` | `None` | a `CameraConfig`; its `hand_eye` shifts where it is believed to be |
     | `pose_noise` | `None` | the oracle's: a `PoseNoise`, a `PerceptionNoise`, or `"learned"`: errors such as the learned perceiver's of this part and sensor |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
     | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts |
