@@ -48,6 +48,7 @@ class Bandit(Common):
     hidden: int = 64  # units of the network's layers; 0 is logistic regression
     context: bool = True  # whether a grasp's score depends on the others on offer
     epochs: int = 60  # passes over the attempts
+    held_out: float = 0.2  # share of the bins that the fit is judged on instead; 0 for the selector that is to be used
 
 
 def ppo(args: tyro.conf.OmitArgPrefixes[Ppo]) -> int:
@@ -83,7 +84,7 @@ def bandit(args: tyro.conf.OmitArgPrefixes[Bandit]) -> int:
         from policies.selector_net import SelectorNetConfig
 
         network = SelectorNetConfig(hidden=args.hidden, context=args.context)
-        config = BanditConfig(network=network, epochs=args.epochs)
+        config = BanditConfig(network=network, epochs=args.epochs, held_out=args.held_out)
         behaviour = Behaviour(selector=args.behaviour, epsilon=args.epsilon)
         with tqdm(total=args.bins, unit="bin", smoothing=0) as bar:
             path, last = train_bandit(
