@@ -93,7 +93,7 @@ def bandit(args: tyro.conf.OmitArgPrefixes[Bandit]) -> int:
             )  # fmt: skip
     except (ValueError, OSError, ModuleNotFoundError) as error:
         return _failed(error)
-    print(f"on held-out bins: {last}")
+    print(f"on held-out bins: {last}" if args.held_out else f"on all bins, fitted: cross-entropy {last.loss:.3f}")
     print(f"kept in {path}")
     return 0
 

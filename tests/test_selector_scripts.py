@@ -74,6 +74,9 @@ def test_selectors_are_trained_and_evaluated(tmp_path: Path, capsys: pytest.Capt
     bandit = train.tyro.cli(train.Bandit, args=[*tiny, "--bins", "2", "--epochs", "2", "--out", str(tmp_path / "b")])
     assert train.bandit(bandit) == 0
     assert "on held-out bins: cross-entropy" in capsys.readouterr().out
+    every = train.tyro.cli(train.Bandit, args=[*tiny, "--bins", "2", "--held-out", "0", "--out", str(tmp_path / "b")])
+    assert train.bandit(every) == 0
+    assert "on all bins, fitted: cross-entropy" in capsys.readouterr().out
     start = tmp_path / "b" / "selector.safetensors"
     more = ["--picks", "4", "--rollout", "4", "--initial", str(start), "--out", str(tmp_path / "p")]
     assert train.ppo(train.tyro.cli(train.Ppo, args=[*tiny, *more])) == 0
