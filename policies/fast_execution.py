@@ -28,10 +28,10 @@ class FastExecution(Execution):
     does not. The way home is left out once the jaw is free, and the next frame is taken when the pile sleeps.
     """
 
-    def __init__(self, env: BinPickEnv, settings: ExecutionSettings, glide: Glide) -> None:
-        """Use ``glide``, which is made once for an environment."""
+    def __init__(self, env: BinPickEnv, settings: ExecutionSettings, glide: Glide, *, looks: bool = True) -> None:
+        """Use ``glide``, which is made once for an environment; without ``looks`` no frame is taken at the end."""
         super().__init__(env, settings)
-        self._glide = glide
+        self._glide, self._looks = glide, looks
 
     def follow(self, trajectory: Trajectory, gripper: float, *, guard: bool = False) -> bool:
         """Run a trajectory as the parent does, with the physics from just before the first touch on."""
@@ -61,7 +61,7 @@ class FastExecution(Execution):
             if self._pile_sleeps():
                 break
             self._step(self._env.simulation.target, 0.0)
-        if self._env.remaining > 0:
+        if self._looks and self._env.remaining > 0:
             self._env.look()
 
     def _carry_across(self, trajectory: Trajectory, k: int) -> bool:
@@ -98,14 +98,21 @@ class FastExecution(Execution):
         self._env.advance(action)
 
 
-def fast_picker(env: BinPickEnv, settings: PickerSettings | None, perception: str) -> ScriptedPicker:
+def fast_pickers(
+    env: BinPickEnv, settings: PickerSettings | None, perception: str
+) -> tuple[ScriptedPicker, ScriptedPicker]:
     """Build the scripted picker that executes fast, and spare the cell what nobody looks at.
 
     Args:
         env: The unwrapped cell.
         settings: Of the picker, defaults if None.
         perception: The cell's; the oracle does without the grey image's shadows, a third of a frame's time.
+
+    Returns:
+        The picker, and one for attempts that will be undone: it takes no frame after them.
     """
     if perception == "oracle":
         env.light = Light(occlusion=0.0)
-    return ScriptedPicker(env, settings, partial(FastExecution, glide=Glide(env.simulation)))
+    glide = Glide(env.simulation)
+    picker = ScriptedPicker(env, settings, partial(FastExecution, glide=glide))
+    return picker, picker.executing(partial(FastExecution, glide=glide, looks=False))

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -98,6 +99,13 @@ class ScriptedPicker:
         self._compiled = False
         self._seen: SeenScene | None = None
         self.reset()
+
+    def executing(self, execution: ExecutionMaker) -> "ScriptedPicker":
+        """Return a picker that executes in another way; it plans the same, and remembers failures of its own."""
+        other = copy(self)
+        other._execution = execution
+        other.reset()
+        return other
 
     def reset(self) -> None:
         """Forget the last bin."""

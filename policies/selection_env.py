@@ -16,7 +16,8 @@ from binpick_env.parts import Part
 from binpick_env.perceiver import PoseNoise
 from binpick_env.perception_noise import PerceptionNoise
 from policies.episode import Termination
-from policies.fast_execution import fast_picker
+from policies.execution import Execution
+from policies.fast_execution import fast_pickers
 from policies.grasp_menu import PER_PART, ROWS, GraspMenu, Observation, Offer
 from policies.outcomes import Abstention, GraspOutcome, PickResult
 from policies.scripted import T_SENSE, PickerSettings, ScriptedPicker
@@ -144,7 +145,11 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
         if max_failures is not None and max_failures < 1:
             raise ValueError(f"max_failures must be at least 1, or None for never, got {max_failures}")
         self.cell = BinPickEnv(**cell)
-        self.picker = fast_picker(self.cell, picker, perception) if fast else ScriptedPicker(self.cell, picker)
+        if fast:
+            self.picker, self._prober = fast_pickers(self.cell, picker, perception)
+        else:
+            self.picker = ScriptedPicker(self.cell, picker)
+            self._prober = self.picker.executing(Execution)
         self.max_failures, self.per_part = max_failures, per_part
         self.render_mode = render_mode
         self._menu = GraspMenu(self.cell, self.picker, per_part)
@@ -188,6 +193,26 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
         outcome = self._act(row)
         reward = DELIVERED if outcome == GraspOutcome.DELIVERED else OTHERWISE
         return self._concluded(outcome, reward, self._termination())
+
+    def probe(self, action: np.int64) -> PickResult | Abstention:
+        """Make the attempt with the grasp in row ``action``, undo it to the bit, and return what came of it.
+
+        Fast, it costs no frame, half the time of a step from pixels.
+
+        Raises:
+            RuntimeError: The episode is over, or has not begun.
+            ValueError: The row holds no grasp.
+        """
+        row = self._checked(action)
+        if not self._offer.mask[row]:
+            raise ValueError(f"row {row} holds no grasp, only {self._offer.valid} do")
+        plan = self._prober.plan(self._offer.grasps[row])
+        if isinstance(plan, Abstention):
+            return plan
+        before = self.cell.snapshot()
+        result = self._prober.execute(plan)
+        self.cell.restore(before)
+        return result
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the (32,) rows that hold a grasp; sb3-contrib's MaskablePPO asks for them by this name."""

@@ -42,6 +42,7 @@ class Epoch:
         base: Of the fitted attempts' mean rate, on the others: what is to be beaten.
         auc: Share of pairs of a delivered and a failed attempt, of the others, that it puts in the right order; NaN
             without pairs.
+        within: Likewise of pairs from one state, between which a selector has to choose.
     """
 
     epoch: int
@@ -49,10 +50,12 @@ class Epoch:
     held_out: float
     base: float
     auc: float
+    within: float
 
     def __str__(self) -> str:
         """Say how well it does on the held-out bins."""
-        return f"cross-entropy {self.held_out:.3f} (of the mean rate alone {self.base:.3f}), AUC {self.auc:.3f}"
+        fit = f"cross-entropy {self.held_out:.3f} (of the mean rate alone {self.base:.3f})"
+        return f"{fit}, AUC {self.auc:.3f} (within states {self.within:.3f})"
 
 
 def fit_bandit(
@@ -118,11 +121,20 @@ def _judged(
         held_out=_entropy(logits, won),
         base=_entropy(np.full(len(won), np.log(mean / (1 - mean))), won),
         auc=_auc(logits, won),
+        within=_auc_within(logits, won, attempts.bins[others], attempts.states[others]),
     )
 
 
 def _entropy(logits: np.ndarray, won: np.ndarray) -> float:
     return float(np.mean(np.logaddexp(0.0, np.where(won, -logits, logits)))) if len(won) else float("nan")
+
+
+def _auc_within(logits: np.ndarray, won: np.ndarray, bins: np.ndarray, states: np.ndarray) -> float:
+    """Return the share of pairs from one state that are in the right order; NaN without pairs."""
+    same = (bins[won][:, None] == bins[~won]) & (states[won][:, None] == states[~won])
+    good, bad = logits[won][:, None], logits[~won]
+    right = (good > bad) + 0.5 * (good == bad)
+    return float(right[same].mean()) if same.any() else float("nan")
 
 
 def _auc(logits: np.ndarray, won: np.ndarray) -> float:

@@ -74,5 +74,5 @@ def _log(folder: Path, epochs: list[Epoch], attempts: Attempts) -> None:
     with SummaryWriter(str(folder)) as writer:
         writer.add_scalar("selector/gsr", float(attempts.delivered.mean()), 0)
         for each in epochs:
-            for name in ("loss", "held_out", "base", "auc"):
+            for name in ("loss", "held_out", "base", "auc", "within"):
                 writer.add_scalar(f"bandit/{name}", getattr(each, name), each.epoch)

@@ -14,6 +14,8 @@ from binpick_env.config import BinConfig, CameraConfig, CellConfig, SensorPreset
 from binpick_env.perceiver import Perception
 from binpick_env.process_map import map_indices
 from perception.files import json_text, replace_atomically
+from policies.grasp_menu import Observation
+from policies.outcomes import PickResult
 from policies.selection_env import GraspSelectionEnv
 from policies.selectors import load_selector
 
@@ -58,6 +60,7 @@ class Attempts:
         chosen: (N,) row.
         delivered: (N,) bool.
         bins: (N,) index of the bin.
+        states: (N,) number of the decision in its bin; attempts from one state share it.
     """
 
     grasps: NDArray[np.float32]
@@ -65,6 +68,7 @@ class Attempts:
     chosen: NDArray[np.int64]
     delivered: NDArray[np.bool_]
     bins: NDArray[np.int64]
+    states: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.chosen)
@@ -92,10 +96,13 @@ class Behaviour:
 
     selector: str = "weighted"  # a heuristic, or a trained selector
     epsilon: float = 0.3  # share of the choices that are made at random instead
+    tries: int = 1  # attempts from each state; all but the one that is chosen are drawn at random, and undone
 
     def __post_init__(self) -> None:
         if not 0 <= self.epsilon <= 1:
             raise ValueError(f"epsilon must be in [0, 1], got {self.epsilon}")
+        if self.tries < 1:
+            raise ValueError(f"tries must be at least 1, got {self.tries}")
 
 
 def gather(
@@ -133,16 +140,31 @@ def log_bin(cells: Cells, behaviour: Behaviour, out: Path, seed: int, index: int
     rng = np.random.default_rng([seed, index, 1])
     observation, _ = env.reset(seed=int(bin_seed))
     rows: list[dict[str, Any]] = []
-    over = not observation["mask"].any()
+    over, state = not observation["mask"].any(), 0
     while not over:
         explores = rng.random() < behaviour.epsilon
         row = rng.choice(np.flatnonzero(observation["mask"])) if explores else selector.select(observation, rng)
+        made = _probed(env, observation, row, behaviour.tries - 1, rng) if behaviour.tries > 1 else []
         after, _, terminated, truncated, _ = env.step(np.int64(row))
         if env.result is not None:
-            rows.append({**observation, "chosen": row, "delivered": env.result.success, "bins": index})
+            made.append((int(row), env.result.success))
+        rows += [
+            {**observation, "chosen": tried, "delivered": success, "bins": index, "states": state}
+            for tried, success in made
+        ]
+        state += 1
         observation, over = after, terminated or truncated
     _save(bin_file(out, index), rows, env)
     return index
+
+
+def _probed(
+    env: GraspSelectionEnv, observation: Observation, chosen: int, count: int, rng: np.random.Generator
+) -> list[tuple[int, bool]]:
+    """Attempt up to ``count`` other rows from this state; return each with whether it delivered."""
+    others = np.setdiff1d(np.flatnonzero(observation["mask"]), [chosen])
+    results = [(int(row), env.probe(np.int64(row))) for row in rng.permutation(others)[:count]]
+    return [(row, result.success) for row, result in results if isinstance(result, PickResult)]
 
 
 def _save(path: Path, rows: list[dict[str, Any]], env: GraspSelectionEnv) -> None:
@@ -152,6 +174,7 @@ def _save(path: Path, rows: list[dict[str, Any]], env: GraspSelectionEnv) -> Non
         "chosen": np.array([row["chosen"] for row in rows], np.int64),
         "delivered": np.array([row["delivered"] for row in rows], np.bool_),
         "bins": np.array([row["bins"] for row in rows], np.int64),
+        "states": np.array([row["states"] for row in rows], np.int64),
     }
 
     def write(draft: Path) -> None:

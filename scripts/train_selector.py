@@ -45,6 +45,7 @@ class Bandit(Common):
     bins: int = 200  # whose attempts are logged
     behaviour: str = "weighted"  # who chooses meanwhile: a heuristic, or a trained selector
     epsilon: float = 0.3  # share of the choices that are made at random instead
+    tries: int = 1  # attempts from each state; all but the one that is chosen are drawn at random, and undone
     hidden: int = 64  # units of the network's layers; 0 is logistic regression
     context: bool = True  # whether a grasp's score depends on the others on offer
     epochs: int = 60  # passes over the attempts
@@ -85,7 +86,7 @@ def bandit(args: tyro.conf.OmitArgPrefixes[Bandit]) -> int:
 
         network = SelectorNetConfig(hidden=args.hidden, context=args.context)
         config = BanditConfig(network=network, epochs=args.epochs, held_out=args.held_out)
-        behaviour = Behaviour(selector=args.behaviour, epsilon=args.epsilon)
+        behaviour = Behaviour(selector=args.behaviour, epsilon=args.epsilon, tries=args.tries)
         with tqdm(total=args.bins, unit="bin", smoothing=0) as bar:
             path, last = train_bandit(
                 config, args.cells, behaviour, args.folder("bandit"), args.bins,

@@ -12,7 +12,7 @@ from binpick_env.glide import Glide
 from binpick_env.robot import HOME
 from policies.fast_agreement import Pair, agreement_table, paired_attempts
 from policies.grasp_menu import GraspMenu
-from policies.outcomes import GraspOutcome
+from policies.outcomes import GraspOutcome, PickResult
 from policies.selection_env import GraspSelectionEnv
 
 
@@ -202,3 +202,32 @@ def test_too_few_attempts_are_said(
     monkeypatch.setattr("policies.fast_agreement.MAX_PILES", 0)
     with pytest.raises(RuntimeError, match="0 piles did not give 1 attempts"):
         list(paired_attempts(full, fast, seed=0, count=1))
+
+
+@pytest.mark.parametrize("mode", ["full", "fast"])
+def test_a_probe_leaves_no_trace(mode: str, request: pytest.FixtureRequest) -> None:
+    env: GraspSelectionEnv = request.getfixturevalue(mode)
+    ends = []
+    for probing in (False, True):
+        env.reset(seed=8)
+        for row in choices(env)[:2] if probing else []:
+            result = env.probe(row)
+            assert isinstance(result, PickResult)
+            assert result.success
+        after, reward, *_ = step(env, choices(env)[-1])
+        ends.append((after["grasps"].tobytes(), reward, env.cell.simulation.data.qpos.tobytes(), env.cell.frame_id))
+    assert ends[0] == ends[1]
+
+
+def test_nobody_looks_after_a_probe(fast: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    fast.reset(seed=8)
+    monkeypatch.setattr(BinPickEnv, "look", lambda _: pytest.fail("a frame was taken"))
+    fast.probe(choices(fast)[0])
+
+
+def test_what_is_not_on_offer_cannot_be_probed(fast: GraspSelectionEnv) -> None:
+    fast.reset(seed=8)
+    with pytest.raises(ValueError, match=r"row 31 holds no grasp, only \[0, "):
+        fast.probe(np.int64(31))
+    with pytest.raises(RuntimeError, match=r"call reset\(\)"):
+        GraspSelectionEnv(**SMALL).probe(np.int64(0))

@@ -9,8 +9,8 @@ import pytest
 import torch
 from toy_selection import PARTS, ToySelection, toy
 
-from policies.selection_features import column
-from policies.selector_bandit import BanditConfig, Epoch, fit_bandit
+from policies.selection_features import FEATURES, column
+from policies.selector_bandit import BanditConfig, Epoch, _judged, fit_bandit
 from policies.selector_bandit_run import ExperienceError, train_bandit
 from policies.selector_experience import Attempts, Behaviour, Cells, bin_file, gather
 from policies.selector_net import SelectorNetConfig
@@ -88,6 +88,41 @@ def test_epsilon_mixes_in_random_choices(tmp_path: Path, toys: None) -> None:
         assert set(attempts.bins) == set(range(30))
         quality = attempts.grasps[np.arange(len(attempts)), attempts.chosen, column("quality")]
         np.testing.assert_array_equal(attempts.delivered, quality > 0.5)
+
+
+def test_several_grasps_are_tried_from_each_state(tmp_path: Path, toys: None) -> None:
+    list(gather(CELLS, Behaviour(tries=3), tmp_path, range(4), 0))
+    attempts = Attempts.load([bin_file(tmp_path, k) for k in range(4)])
+    quality = attempts.grasps[np.arange(len(attempts)), attempts.chosen, column("quality")]
+    np.testing.assert_array_equal(attempts.delivered, quality > 0.5)
+    counts = []
+    for k in range(4):
+        for state in range(PARTS):
+            own = (attempts.bins == k) & (attempts.states == state)
+            assert len({row.tobytes() for row in attempts.grasps[own]}) == 1
+            assert len(set(attempts.chosen[own])) == own.sum() == min(3, attempts.mask[own][0].sum())
+            counts.append(own.sum())
+    assert set(counts) == {1, 2, 3}
+    assert sum(counts) == len(attempts)
+
+
+def test_choices_are_judged_within_their_states() -> None:
+    """Four attempts from two states: all pairs but those within are in order."""
+    grasps = np.zeros((4, 2, len(FEATURES)), np.float32)
+    grasps[:, 0, column("quality")] = [0.9, 1.0, 0.1, 0.2]
+    attempts = Attempts(
+        grasps=grasps,
+        mask=np.ones((4, 2), np.int8),
+        chosen=np.zeros(4, np.int64),
+        delivered=np.array([True, False, True, False]),
+        bins=np.zeros(4, np.int64),
+        states=np.array([0, 0, 1, 1]),
+    )
+    logits = grasps[:, 0, column("quality")].astype(float)
+    own = _judged(1, 0.5, logits, attempts, np.arange(4), np.arange(4))
+    assert (own.auc, own.within) == (0.25, 0.0)
+    alone = replace(attempts, states=np.arange(4))
+    assert np.isnan(_judged(1, 0.5, logits, alone, np.arange(4), np.arange(4)).within)
 
 
 def test_bins_without_attempts_cannot_be_learned_from(tmp_path: Path, toys: None) -> None:
@@ -168,14 +203,15 @@ def test_cells_may_see_worse() -> None:
 
 
 def test_an_epoch_says_how_well_it_does() -> None:
-    text = str(Epoch(epoch=3, loss=0.5, held_out=0.4, base=0.6, auc=0.75))
-    assert text == "cross-entropy 0.400 (of the mean rate alone 0.600), AUC 0.750"
+    text = str(Epoch(epoch=3, loss=0.5, held_out=0.4, base=0.6, auc=0.75, within=0.65))
+    assert text == "cross-entropy 0.400 (of the mean rate alone 0.600), AUC 0.750 (within states 0.650)"
 
 
 @pytest.mark.parametrize(
     ("build", "text"),
     [
         (lambda: Behaviour(epsilon=1.5), r"epsilon must be in \[0, 1\], got 1.5"),
+        (lambda: Behaviour(tries=0), "tries must be at least 1, got 0"),
         (lambda: BanditConfig(epochs=0), "epochs and batch must be at least 1, got 0 and 256"),
         (lambda: BanditConfig(rate=0), "rate must be positive and decay not negative, got 0"),
         (lambda: BanditConfig(held_out=1), r"held_out must be in \[0, 1\), got 1"),

@@ -7,6 +7,7 @@ import gymnasium as gym
 import numpy as np
 
 from policies.grasp_menu import ROWS
+from policies.outcomes import GraspOutcome, PickResult
 from policies.selection_features import FEATURES, HIGH, LOW, column
 from policies.selector_experience import Cells
 
@@ -27,8 +28,11 @@ class ToySelection(gym.Env[dict[str, np.ndarray], np.int64]):
         self._left, self._delivered = PARTS, 0
         return self._observe(), self._info("")
 
+    def probe(self, action: np.int64) -> PickResult:
+        return PickResult(outcome=GraspOutcome.DELIVERED if self._delivers(action) else GraspOutcome.MISSED)
+
     def step(self, action: np.int64) -> Any:
-        success = bool(self._grasps[action, column("quality")] > 0.5 and self._mask[action])
+        success = self._delivers(action)
         self.result = SimpleNamespace(success=success)
         self._left -= 1
         self._delivered += success
@@ -37,6 +41,9 @@ class ToySelection(gym.Env[dict[str, np.ndarray], np.int64]):
 
     def action_masks(self) -> np.ndarray:
         return self._mask.astype(bool)
+
+    def _delivers(self, action: np.int64) -> bool:
+        return bool(self._grasps[action, column("quality")] > 0.5 and self._mask[action])
 
     def _observe(self) -> dict[str, np.ndarray]:
         valid = 1 + self.np_random.integers(5)
