@@ -1,6 +1,7 @@
 """The observation pipeline behind one Protocol: from what the camera saw to pose candidates."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal, Protocol, get_args
 
 import numpy as np
@@ -38,7 +39,7 @@ class Exposure:
     visible_fractions: NDArray[np.float64]
     hand_eye: Floats = field(default_factory=lambda: np.zeros(3))
 
-    @property
+    @cached_property
     def T_reported_parts(self) -> Floats:
         """(N, 4, 4) where the parts are by the camera's reported place: what perception can know at best."""
         moved = self.T_world_parts.copy()
@@ -88,7 +89,7 @@ class OraclePerceiver:
         return Sighting(candidates=[self._candidate(view, i, rng) for i in seen])
 
     def _candidate(self, view: Exposure, i: int, rng: np.random.Generator) -> PoseCandidate:
-        T_world_part = view.T_reported_parts[i]
+        T_world_part = view.T_reported_parts[i].copy()
         if self._noise.translation > 0:
             T_world_part[:3, 3] += self._noise.translation * rng.normal(size=3)
         if self._noise.rotation > 0:

@@ -34,10 +34,11 @@ def test_the_pixels_are_those_of_the_true_place() -> None:
 
 
 def test_what_is_true_of_the_parts_stays_true() -> None:
-    env = wrong_env(0.015, sensor="none")
+    env = small_env()
     env.reset(seed=3)
     fractions = env.exposure.visible_fractions
-    env._hand_eye = np.zeros(3)
+    assert fractions.max() > 0.5
+    env._hand_eye = np.array([0.0, 0.0, -0.1])  # from there parts would look larger, and seem half hidden
     env.look()
     np.testing.assert_array_equal(env.exposure.visible_fractions, fractions)
 
@@ -91,13 +92,3 @@ def test_the_oracle_is_as_far_off() -> None:
         true = env.exposure.T_world_parts[candidate.part]
         np.testing.assert_allclose(candidate.T_world_part[:3, :3], true[:3, :3], atol=1e-12)
         np.testing.assert_allclose(candidate.T_world_part[:3, 3] - true[:3, 3], offset(env), atol=1e-12)
-
-
-def test_perception_is_not_blamed_for_it() -> None:
-    env = wrong_env(0.015, sensor="none")
-    env.reset(seed=3)
-    for candidate in env.candidates:
-        np.testing.assert_allclose(env.exposure.T_reported_parts[candidate.part], candidate.T_world_part, atol=1e-12)
-    exact = small_env()
-    exact.reset(seed=3)
-    np.testing.assert_array_equal(exact.exposure.T_reported_parts, exact.exposure.T_world_parts)

@@ -1,6 +1,7 @@
 """The oracle that errs like the learned perceiver: its rates, its poses, its fit, its file."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +114,17 @@ def test_the_fit_counts_by_hand() -> None:
 def test_nothing_right_cannot_be_fitted() -> None:
     with pytest.raises(ValueError, match="1 frames hold no right pose"):
         fit_noise([FrameSighting(parts=(PartSighting(visible=0.5),), false_scores=())])
+
+
+def test_it_sees_by_the_cameras_reported_place() -> None:
+    true = view([0.9, 0.7, 0.95])
+    moved = replace(true, hand_eye=np.array([0.01, -0.02, 0.003]))
+    perceiver = NoisyOraclePerceiver(model(false_rate=3.0))
+    first, second = (perceiver.perceive(each, np.random.default_rng(0)).candidates for each in (true, moved))
+    assert len(first) == len(second) > 3
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_allclose(other.T_world_part[:3, 3] - one.T_world_part[:3, 3], moved.hand_eye, atol=1e-12)
+        np.testing.assert_array_equal(other.T_world_part[:3, :3], one.T_world_part[:3, :3])
 
 
 def test_a_perfect_oracle_is_all_right() -> None:

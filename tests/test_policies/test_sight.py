@@ -1,7 +1,7 @@
 """What is kept of a judged frame."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -97,6 +97,17 @@ def test_a_pose_is_right_by_the_papers_criterion(error: Any, right: bool) -> Non
     assert judged.translation == pytest.approx(np.linalg.norm(error[:3, 3]), abs=1e-12)
     angle = np.arccos(np.clip((np.trace(error[:3, :3]) - 1) / 2, -1, 1))
     assert judged.rotation == pytest.approx(angle, abs=1e-6)
+
+
+def test_poses_are_judged_by_the_cameras_reported_place() -> None:
+    seen = replace(exposure(FRACTIONS[:2]), hand_eye=np.array([0.6 * BLOCK.d_max, 0.0, 0.0]))
+    off = make_transform(translation=seen.hand_eye)
+    where_reported = [candidate(seen, part, off) for part in (0, 1)]
+    judged = judge_frame(0, seen, Sighting(candidates=where_reported))
+    assert [(c.right, c.found) for c in judged.candidates] == [(True, 0), (True, 1)]
+    where_true = [candidate(seen, part) for part in (0, 1)]
+    judged = judge_frame(0, seen, Sighting(candidates=where_true))
+    assert [(c.right, c.found) for c in judged.candidates] == [(False, -1), (False, -1)]
 
 
 def test_of_two_right_poses_of_a_part_the_better_scored_has_found_it() -> None:
