@@ -1,6 +1,7 @@
 """A selector as a network: a score for each grasp on offer, and a value of all; rows may stand in any order.
 
-Shapes: B observations, K rows, F features, H hidden units.
+Shapes: B observations, K rows, F features on offer, C of them that are used, H hidden units, S numbers that
+sum up all rows.
 """
 
 from dataclasses import dataclass
@@ -8,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from policies.selection_features import FEATURES
+from policies.selection_features import FEATURES, column
 
 _NEVER = -1e8  # logit of a row that holds nothing
 
@@ -17,13 +18,15 @@ _NEVER = -1e8  # logit of a row that holds nothing
 class SelectorNetConfig:
     """Sizes of the network."""
 
-    features: tuple[str, ...] = tuple(FEATURES)  # columns of a row, by name: another order is another network
+    features: tuple[str, ...] = tuple(FEATURES)  # columns that it uses of a row, by name
     hidden: int = 64  # units of every layer; 0 scores each row by a weighted sum alone: logistic regression
     context: bool = True  # whether a row's score depends on the other rows
 
     def __post_init__(self) -> None:
         if not self.features:
             raise ValueError("features must name at least one column")
+        for name in self.features:
+            column(name)
         if self.hidden < 0:
             raise ValueError(f"hidden must not be negative, got {self.hidden}")
 
@@ -35,6 +38,9 @@ class SelectorNet(nn.Module):
         super().__init__()
         self.config = config or SelectorNetConfig()
         count, hidden = len(self.config.features), self.config.hidden
+        columns = torch.tensor([column(name) for name in self.config.features])
+        self._columns: Tensor
+        self.register_buffer("_columns", columns, persistent=False)
         self.rows: nn.Module = nn.Identity()
         width = count
         if hidden:
@@ -51,14 +57,14 @@ class SelectorNet(nn.Module):
             mask_BK: Not 0 where there is one.
         """
         held_BK1 = (mask_BK > 0)[..., None]
-        inner_BKH = self.rows(rows_BKF)
-        summary_BC = _summary(inner_BKH, held_BK1)
+        inner_BKH = self.rows(rows_BKF[..., self._columns])
+        summary_BS = _summary(inner_BKH, held_BK1)
         joint = inner_BKH
         if self.config.hidden and self.config.context:
-            spread = summary_BC[:, None].expand(-1, inner_BKH.shape[1], -1)
+            spread = summary_BS[:, None].expand(-1, inner_BKH.shape[1], -1)
             joint = torch.cat([inner_BKH, spread], dim=-1)
         logits_BK = self.score(joint)[..., 0].masked_fill(~held_BK1[..., 0], _NEVER)
-        return logits_BK, self.value(summary_BC)[..., 0]
+        return logits_BK, self.value(summary_BS)[..., 0]
 
 
 def _head(width: int, hidden: int) -> nn.Module:

@@ -54,17 +54,16 @@ def load_selector_net(path: Path) -> SelectorNet:
     """Return the network of a ``.safetensors`` file, in evaluation mode, on the CPU.
 
     Raises:
-        SelectorError: The file is missing or damaged, its weights do not fit the network that it describes, or it was
-            trained on features that are no longer these.
+        SelectorError: The file is missing or damaged, its weights do not fit the network that it describes, or it uses
+            features that there are no longer.
     """
     values = load_selector_record(path)["network"]
     try:
+        if gone := sorted(set(values["features"]) - set(FEATURES)):
+            raise SelectorError(f"{path} was trained on features that there are not ({', '.join(gone)})")
         config = SelectorNetConfig(**{**values, "features": tuple(values["features"])})
         network = SelectorNet(config)
         network.load_state_dict(load_file(path))
     except (OSError, KeyError, TypeError, RuntimeError, SafetensorError) as error:
         raise SelectorError(f"{path} does not hold the selector that it describes ({error})") from error
-    if config.features != tuple(FEATURES):
-        odd = sorted(set(config.features) ^ set(FEATURES))
-        raise SelectorError(f"{path} was trained on other features than there are ({', '.join(odd) or 'their order'})")
     return network.eval()

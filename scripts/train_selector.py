@@ -4,6 +4,7 @@ import logging
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import tyro
 from tqdm import tqdm
@@ -40,7 +41,7 @@ class Ppo(Common):
 
 @dataclass(frozen=True, kw_only=True)
 class Bandit(Common):
-    """Log attempts, then fit whether a grasp is delivered. Bins that are logged already stay."""
+    """Log attempts, then fit which grasps are delivered. Bins that are logged already stay."""
 
     bins: int = 200  # whose attempts are logged
     behaviour: str = "weighted"  # who chooses meanwhile: a heuristic, or a trained selector
@@ -48,7 +49,10 @@ class Bandit(Common):
     tries: int = 1  # attempts from each state; all but the one that is chosen are drawn at random, and undone
     hidden: int = 64  # units of the network's layers; 0 is logistic regression
     context: bool = True  # whether a grasp's score depends on the others on offer
+    features: tuple[str, ...] = ()  # columns of the observation that it uses, by name; none for all
+    loss: Literal["delivery", "choice"] = "delivery"  # choice compares what was tried from one state, with --tries
     epochs: int = 60  # passes over the attempts
+    rate: float = 1e-3  # Adam's; logistic regression takes ten times that
     held_out: float = 0.2  # share of the bins that the fit is judged on instead; 0 for the selector that is to be used
 
 
@@ -84,8 +88,10 @@ def bandit(args: tyro.conf.OmitArgPrefixes[Bandit]) -> int:
         from policies.selector_bandit_run import train_bandit
         from policies.selector_net import SelectorNetConfig
 
-        network = SelectorNetConfig(hidden=args.hidden, context=args.context)
-        config = BanditConfig(network=network, epochs=args.epochs, held_out=args.held_out)
+        features = args.features or SelectorNetConfig().features
+        network = SelectorNetConfig(features=features, hidden=args.hidden, context=args.context)
+        fit = {name: getattr(args, name) for name in ("loss", "epochs", "rate", "held_out")}
+        config = BanditConfig(network=network, **fit)
         behaviour = Behaviour(selector=args.behaviour, epsilon=args.epsilon, tries=args.tries)
         with tqdm(total=args.bins, unit="bin", smoothing=0) as bar:
             path, last = train_bandit(

@@ -10,7 +10,7 @@ import torch
 from toy_selection import PARTS, ToySelection, toy
 
 from policies.selection_features import FEATURES, column
-from policies.selector_bandit import BanditConfig, Epoch, _judged, fit_bandit
+from policies.selector_bandit import BanditConfig, Epoch, fit_bandit, ranking
 from policies.selector_bandit_run import ExperienceError, train_bandit
 from policies.selector_experience import Attempts, Behaviour, Cells, bin_file, gather
 from policies.selector_net import SelectorNetConfig
@@ -119,10 +119,57 @@ def test_choices_are_judged_within_their_states() -> None:
         states=np.array([0, 0, 1, 1]),
     )
     logits = grasps[:, 0, column("quality")].astype(float)
-    own = _judged(1, 0.5, logits, attempts, np.arange(4), np.arange(4))
-    assert (own.auc, own.within) == (0.25, 0.0)
+    assert ranking(logits, attempts, np.arange(4)) == (0.25, 0.0)
     alone = replace(attempts, states=np.arange(4))
-    assert np.isnan(_judged(1, 0.5, logits, alone, np.arange(4), np.arange(4)).within)
+    auc, within = ranking(logits, alone, np.arange(4))
+    assert auc == 0.25
+    assert np.isnan(within)
+
+
+def confounded(states: int = 40) -> Attempts:
+    """Four attempts a state: in easy bins all grasps are high, but in every state a low one delivers sooner."""
+    rng = np.random.default_rng(0)
+    easy = rng.random((states, 1)) < 0.5
+    own = rng.random((states, 4))
+    grasps = np.zeros((states, 4, len(FEATURES)), np.float32)
+    grasps[:, :, column("z")] = 0.5 * easy + 0.4 * own
+    return Attempts(
+        grasps=np.repeat(grasps, 4, axis=0),
+        mask=np.ones((4 * states, 4), np.int8),
+        chosen=np.tile(np.arange(4), states),
+        delivered=(own < np.where(easy, 0.9, 0.1)).ravel(),
+        bins=np.repeat(np.arange(states), 4) // 2,
+        states=np.repeat(np.arange(states), 4) % 2,
+    )
+
+
+def test_choices_are_learned_whatever_the_bin() -> None:
+    weights = {}
+    for loss in ("delivery", "choice"):
+        config = BanditConfig(loss=loss, network=SelectorNetConfig(hidden=0, features=("z",)), rate=0.05, epochs=60)
+        epochs: list[Epoch] = []
+        network = fit_bandit(confounded(), config, 0, epochs.append)
+        weights[loss] = network.score.weight.item()  # type: ignore[operator, union-attr]
+        assert epochs[-1].loss < epochs[0].loss
+        assert epochs[-1].held_out < epochs[-1].base
+    assert weights["delivery"] > 0 > weights["choice"]
+    assert epochs[-1].base == pytest.approx(np.log(2))
+    assert epochs[-1].within == 1.0
+
+
+def test_a_choice_needs_something_to_choose_between() -> None:
+    attempts = confounded()
+    config = BanditConfig(loss="choice", network=SMALL_NET)
+    with pytest.raises(ValueError, match="log several tries from each"):
+        fit_bandit(replace(attempts, states=np.arange(len(attempts))), config, 0)
+
+
+def test_a_bandit_that_chooses_finds_what_delivers(tmp_path: Path, toys: None) -> None:
+    network = SelectorNetConfig(hidden=0, features=("quality", "top"))
+    config = BanditConfig(loss="choice", network=network, epochs=40, rate=0.05, batch=64)
+    path, last = train_bandit(config, CELLS, Behaviour(tries=3), tmp_path, 40, seed=0)
+    assert last.within > 0.85
+    assert success(LearnedSelector(path)) > success(RandomSelector()) + 0.2
 
 
 def test_bins_without_attempts_cannot_be_learned_from(tmp_path: Path, toys: None) -> None:
@@ -204,7 +251,7 @@ def test_cells_may_see_worse() -> None:
 
 def test_an_epoch_says_how_well_it_does() -> None:
     text = str(Epoch(epoch=3, loss=0.5, held_out=0.4, base=0.6, auc=0.75, within=0.65))
-    assert text == "cross-entropy 0.400 (of the mean rate alone 0.600), AUC 0.750 (within states 0.650)"
+    assert text == "cross-entropy 0.400 (to beat: 0.600), AUC 0.750 (within states 0.650)"
 
 
 @pytest.mark.parametrize(
@@ -212,6 +259,7 @@ def test_an_epoch_says_how_well_it_does() -> None:
     [
         (lambda: Behaviour(epsilon=1.5), r"epsilon must be in \[0, 1\], got 1.5"),
         (lambda: Behaviour(tries=0), "tries must be at least 1, got 0"),
+        (lambda: BanditConfig(loss="x"), "loss must be one of delivery, choice, got 'x'"),  # type: ignore[arg-type]
         (lambda: BanditConfig(epochs=0), "epochs and batch must be at least 1, got 0 and 256"),
         (lambda: BanditConfig(rate=0), "rate must be positive and decay not negative, got 0"),
         (lambda: BanditConfig(held_out=1), r"held_out must be in \[0, 1\), got 1"),
