@@ -1,7 +1,9 @@
 """A map of a pure function over indices: in this process, or in many of this machine's."""
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -71,6 +73,15 @@ def map_indices(
 def _start_worker(initializer: Callable[..., None] | None, initargs: tuple[Any, ...]) -> None:
     """Leave Ctrl-C, which reaches every process of the terminal, to the parent; compute on one core."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
     if initializer is not None:
         initializer(*initargs)
+
+
+def _end_with_parent() -> None:
+    """Wait for the parent's end, and do not outlive it: a parent that is killed tells its workers nothing."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

@@ -3,7 +3,11 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
+import time
 from functools import partial
+from pathlib import Path
 
 import cv2
 import pytest
@@ -26,6 +30,15 @@ def fail_at(which: int, index: int) -> int:
 def die_at(which: int, index: int) -> int:
     if index == which:
         os.kill(os.getpid(), signal.SIGKILL)
+    return index
+
+
+def linger(folder: Path, index: int) -> int:
+    """Say which process this is, and work on."""
+    draft = folder / f"draft {index}"
+    draft.write_text(str(os.getpid()))
+    draft.rename(folder / str(index))
+    time.sleep(600)
     return index
 
 
@@ -119,3 +132,39 @@ def test_who_stops_early_leaves_no_process() -> None:
     assert next(results) in {index * index for index in range(50)}
     results.close()  # type: ignore[attr-defined]
     assert multiprocessing.active_children() == []
+
+
+def lives(pid: int) -> bool:
+    """Whether there is such a process; one that has ended and that nobody has asked for does not count."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes as Linux lists them")
+def test_workers_do_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(
+        "import sys\nfrom functools import partial\nfrom pathlib import Path\n"
+        "from binpick_env.process_map import map_indices\n"
+        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from test_process_map import linger\n"
+        "if __name__ == '__main__':\n"
+        f"    list(map_indices(partial(linger, Path({str(tmp_path)!r})), range(2), 2))\n"
+    )
+    parent = subprocess.Popen([sys.executable, str(script)])
+    try:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and not all((tmp_path / name).exists() for name in "01"):
+            assert parent.poll() is None
+            time.sleep(0.05)
+        pids = [int((tmp_path / name).read_text()) for name in "01"]
+        assert all(lives(pid) for pid in pids)
+    finally:
+        parent.kill()
+        parent.wait()
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline and any(lives(pid) for pid in pids):
+        time.sleep(0.05)
+    assert not any(lives(pid) for pid in pids)
