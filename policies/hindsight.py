@@ -9,7 +9,8 @@ from itertools import islice
 from binpick_env.env import BinPickEnv
 from binpick_env.snapshot import Snapshot
 from policies.failed_grasps import FailedGrasps
-from policies.grasp_menu import PER_PART, ROWS, GraspMenu, Offer
+from policies.grasp_menu import PER_PART, ROWS, Offer
+from policies.menu_picker import MenuPicker
 from policies.outcomes import Abstention, GraspOutcome, PickResult
 from policies.records import BinRecord
 from policies.scripted import T_SENSE, ScriptedPicker
@@ -19,7 +20,7 @@ TRIED = "tried"  # among a grasp's features: how many attempts were made from on
 _State = tuple[Snapshot, FailedGrasps]  # of the cell, and what the picker has learned in it
 
 
-class HindsightPicker:
+class HindsightPicker(MenuPicker):
     """A `policies.episode.Picker` that tries the rows on offer, each from the same state, until one delivers.
 
     The rows come in their own order, the scripted picker's. The first attempt that delivers is kept; if none does, the
@@ -52,24 +53,15 @@ class HindsightPicker:
         """
         if most < 1:
             raise ValueError(f"most must be at least 1, got {most}")
-        self._env, self._most = env, most
-        self._picker = picker or ScriptedPicker(env)
-        self._menu = GraspMenu(env, self._picker, per_part)
-        self._compiled = False
+        super().__init__(env, picker, per_part)
+        self._most = most
         self.reset()
-
-    def reset(self) -> None:
-        """Forget the last bin."""
-        self._picker.reset()
 
     def pick(self) -> PickResult:
         """Make one decision on the last frame: the attempt that is kept, or an abstention."""
-        if not self._compiled:  # the kernels' compilation is no part of a decision's time
-            self._menu.offer()
-            self._compiled = True
-        started, perception, frame_id = time.perf_counter(), self._env.perception_time, self._env.frame_id
-        offer = self._menu.offer()
-        offered = time.perf_counter() - started + perception
+        frame_id = self._env.frame_id
+        offer, offered = self._offer()
+        started = time.perf_counter()
         first: tuple[PickResult, _State] | None = None
         tried = 0
         for result in islice(self._attempts(offer), self._most):
@@ -79,7 +71,7 @@ class HindsightPicker:
             first = first or (result, self._state())
         if first is None:
             reason = offer.reason or Abstention.NO_CLEAR_APPROACH
-            compute = time.perf_counter() - started + perception
+            compute = offered + time.perf_counter() - started
             return PickResult(abstention=reason, t_sense=T_SENSE, t_compute=compute, frame_id=frame_id)
         result, after = first
         self._go_back(after)

@@ -13,7 +13,8 @@ from binpick_env.env import BinPickEnv
 from perception.geometry import Floats
 from policies.clearance import RankSettings
 from policies.episode import BinResult, run_bin
-from policies.grasp_menu import PER_PART, GraspMenu, Observation
+from policies.grasp_menu import PER_PART, Observation, Offer
+from policies.menu_picker import MenuPicker
 from policies.outcomes import Abstention, PickResult
 from policies.scripted import T_SENSE, Plan, ScriptedPicker
 from policies.selection_env import GraspSelectionEnv
@@ -141,7 +142,7 @@ def selector_path(spec: str, *others: str) -> Path:
     raise ValueError(f"a selector must be one of {known}, or the path of a .safetensors file, got {spec!r}")
 
 
-class SelectorPicker:
+class SelectorPicker(MenuPicker):
     """A `policies.episode.Picker` that asks a selector where the scripted picker takes its own first choice."""
 
     def __init__(
@@ -160,32 +161,27 @@ class SelectorPicker:
             picker: Ranks, plans and executes; a new one if None.
             per_part: At most so many grasps of each part.
         """
-        self._env, self._selector = env, selector
-        self._picker = picker or ScriptedPicker(env)
-        self._menu = GraspMenu(env, self._picker, per_part)
-        self._compiled = False
+        super().__init__(env, picker, per_part)
+        self._selector = selector
         self.reset()
 
     def reset(self) -> None:
         """Forget the last bin; what the selector draws depends on the seed of the environment's reset alone."""
-        self._picker.reset()
+        super().reset()
         self._rng = np.random.default_rng([abs(self._env.np_random_seed or 0), 1])
 
     def pick(self) -> PickResult:
         """Make one decision on the last frame: an executed attempt, or an abstention."""
-        if not self._compiled:  # the kernels' compilation is no part of a decision's time
-            self._menu.offer()
-            self._compiled = True
+        offer, offered = self._offer()
         started = time.perf_counter()
-        plan = self._decide()
-        compute = time.perf_counter() - started + self._env.perception_time
+        plan = self._decide(offer)
+        compute = offered + time.perf_counter() - started
         if isinstance(plan, Abstention):
             return PickResult(abstention=plan, t_sense=T_SENSE, t_compute=compute, frame_id=self._env.frame_id)
         result = self._picker.execute(plan)
         return replace(result, t_compute=compute + result.t_compute)
 
-    def _decide(self) -> Plan | Abstention:
-        offer = self._menu.offer()
+    def _decide(self, offer: Offer) -> Plan | Abstention:
         while offer:
             row = self._selector.select(offer.observation(), self._rng)
             if row not in offer.valid:
