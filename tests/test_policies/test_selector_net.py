@@ -11,7 +11,7 @@ from policies.grasp_menu import ROWS
 from policies.selection_features import FEATURES, column
 from policies.selector_net import SelectorNet, SelectorNetConfig
 from policies.selector_weights import SelectorError, load_selector_net, load_selector_record, save_selector
-from policies.selectors import LearnedSelector, WeightedSelector, load_selector, selector_path
+from policies.selectors import SHIPPED, LearnedSelector, WeightedSelector, load_selector, selector_path
 
 CONFIGS = [
     SelectorNetConfig(),
@@ -134,6 +134,19 @@ def test_selectors_are_found_by_name_or_path(tmp_path: Path, monkeypatch: pytest
     assert isinstance(load_selector("ours"), LearnedSelector)
     with pytest.raises(ValueError, match=r"random, .*, ours, or the path of a .safetensors file, got 'x'"):
         load_selector("x")
+
+
+def test_shipped_selectors_load_and_choose() -> None:
+    paths = sorted(SHIPPED.glob("*.safetensors"))
+    assert [path.stem for path in paths] == sorted(path.stem for path in SHIPPED.glob("*.json"))
+    assert "bracket_hand_eye" in {path.stem for path in paths}
+    rows, mask = (tensor[0].numpy() for tensor in observations(1))
+    for path in paths:
+        record = load_selector_record(path)
+        assert json.loads(path.with_suffix(".json").read_text()) == record
+        assert {"command", "commit", "seed", "cells", "attempts"} <= set(record)
+        row = load_selector(path.stem).select({"grasps": rows, "mask": mask}, np.random.default_rng(0))
+        assert mask[row]
 
 
 @pytest.mark.parametrize(
