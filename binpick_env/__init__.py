@@ -9,6 +9,6 @@ gym.register(
 )
 gym.register(
     id="BinPickSelect-v0",
-    entry_point="policies.selection_env:GraspSelectionEnv",  # loaded when it is made
+    entry_point="policies.selection.env:GraspSelectionEnv",  # loaded when it is made
     max_episode_steps=200,
 )

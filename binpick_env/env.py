@@ -10,21 +10,21 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from binpick_env.camera import Capture, DepthCamera
+from binpick_env.camera.depth_camera import Capture, DepthCamera
+from binpick_env.camera.shading import Light
 from binpick_env.candidates import FEATURES, MAX_CANDIDATES, PoseCandidate, pad_candidates
-from binpick_env.clutter import visible_fractions
+from binpick_env.cell.delivery import Delivery, DeliveryEvent, DeliveryJudge
+from binpick_env.cell.render import CellRenderer
+from binpick_env.cell.robot import HOME
+from binpick_env.cell.settle import drop_and_settle
+from binpick_env.cell.simulation import Simulation
+from binpick_env.cell.snapshot import Snapshot
 from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorPreset
-from binpick_env.outcomes import Delivery, DeliveryEvent, DeliveryJudge
+from binpick_env.observation.observed_candidates import ObservedCandidates
+from binpick_env.observation.perceiver import LabelledCapture, PoseNoise, make_perceiver
+from binpick_env.observation.perception_noise import PerceptionNoise
 from binpick_env.parts import Part, load_part
-from binpick_env.perceiver import Exposure, PoseNoise, make_perceiver
-from binpick_env.perception_noise import PerceptionNoise
-from binpick_env.render import CellRenderer
-from binpick_env.robot import HOME
-from binpick_env.settle import drop_and_settle
-from binpick_env.shading import Light
-from binpick_env.sighting import Sighting
-from binpick_env.simulation import Simulation
-from binpick_env.snapshot import Snapshot
+from binpick_env.scenes.clutter import visible_fractions
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, quat_from_matrix
 
@@ -33,7 +33,7 @@ MAX_EPISODE_STEPS = 12_000
 _NO_RESET = "there is no frame before the first reset()"
 # What an episode has beside physics, judge, random numbers and events; nothing changes it in place.
 _EPISODE = (
-    *("capture", "exposure", "sighting", "candidates", "_candidate_arrays", "render_time", "perception_time"),
+    *("capture", "labelled_capture", "observed", "candidates", "_candidate_arrays", "render_time", "perception_time"),
     *("_frame_id", "_frame_time", "_away", "_steps", "total", "delivered", "_np_random_seed", "_hand_eye"),
 )
 HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home that counts as back, and as having left [rad]
@@ -313,7 +313,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self.capture = self.camera.capture(simulation.data, self.np_random, self._sensor, self.light)
         poses = simulation.part_poses()
         fractions = visible_fractions(self.capture, self.part.model.mesh, poses) * simulation.in_play
-        self.exposure = Exposure(
+        self.labelled_capture = LabelledCapture(
             capture=self.capture,
             workspace=self.workspace,
             part=self.part.model,
@@ -322,8 +322,8 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             hand_eye=self._hand_eye,
         )
         rendered = time.perf_counter()
-        self.sighting: Sighting = self._perceiver.perceive(self.exposure, self.np_random)
-        self.candidates: list[PoseCandidate] = self.sighting.candidates[:MAX_CANDIDATES]
+        self.observed: ObservedCandidates = self._perceiver.perceive(self.labelled_capture, self.np_random)
+        self.candidates: list[PoseCandidate] = self.observed.candidates[:MAX_CANDIDATES]
         self.render_time = rendered - started
         self.perception_time = time.perf_counter() - rendered
         self._candidate_arrays = pad_candidates(self.candidates, self.workspace)

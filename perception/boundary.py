@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from perception import _kernels
+from perception import _boundary_kernels as _kernels
 from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import Floats, require_shape, transform_points
 

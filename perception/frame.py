@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.geometry import Floats, invert_transform, project_points, require_shape, transform_points
-
-NEAR = 1e-3  # [m]; nothing nearer to a camera is seen
+from perception.geometry import NEAR, Floats, invert_transform, project_points, require_shape, transform_points
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

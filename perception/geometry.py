@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float64]
+NEAR = 1e-3  # [m] along the optical axis; nothing nearer to a camera is projected or drawn
 
 
 def require_shape(name: str, array: NDArray[np.generic], shape: tuple[int | None, ...]) -> None:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from perception.boundary import BoundaryCloud, extract_boundary
 from perception.frame import Frame, Workspace
+from perception.instance import Instance
 from perception.part import PartModel
 from perception.pose.estimator import PoseEstimate, PoseEstimator
-from perception.pose.explanation import explain_segments
-from perception.segmentation.instance import Instance
+from perception.pose.selection.explanation import explain_segments
 from perception.segmentation.surface import coarse_surface
 
 if TYPE_CHECKING:  # it brings torch, which only a network needs

@@ -10,8 +10,14 @@ from typing import TypeVar
 import tyro
 from tqdm import tqdm
 
-from policies.bench_cell import bench_cell
-from policies.benchmarks import Measurement, benchmark_table, comparison_table, load_benchmark, save_benchmark
+from policies.benchmarks.cell import bench_cell
+from policies.benchmarks.measurement import (
+    Measurement,
+    benchmark_table,
+    comparison_table,
+    load_benchmark,
+    save_benchmark,
+)
 
 Row = TypeVar("Row", bound=Measurement)
 
@@ -75,7 +81,7 @@ def cell(args: tyro.conf.OmitArgPrefixes[Cell]) -> int:
 
 def segmentation(args: tyro.conf.OmitArgPrefixes[Segmentation]) -> int:
     """Labelled scenes, a frame from pixels to labelled points, training with and without what makes it fast."""
-    from policies.bench_segmentation import bench_segmentation  # torch, which takes seconds to import
+    from policies.benchmarks.segmentation import bench_segmentation  # torch, which takes seconds to import
 
     measure = partial(bench_segmentation, args.part, args.seed, args.repeats, args.threads)
     return _bench("segmentation", args, measure)
@@ -83,7 +89,7 @@ def segmentation(args: tyro.conf.OmitArgPrefixes[Segmentation]) -> int:
 
 def pose(args: tyro.conf.OmitArgPrefixes[Pose]) -> int:
     """Pose estimation against OpenCV's and Open3D's on the same inputs, with one thread and two."""
-    from policies.bench_pose import bench_pose, pose_table  # compiled kernels, which take seconds to import
+    from policies.benchmarks.pose import bench_pose, pose_table  # compiled kernels, which take seconds to import
 
     interpreters = {"opencv": args.opencv_python, "open3d": args.open3d_python}
     measure = partial(bench_pose, args.part, args.seed, args.count, args.whole_scenes, interpreters)
@@ -92,7 +98,7 @@ def pose(args: tyro.conf.OmitArgPrefixes[Pose]) -> int:
 
 def selection(args: tyro.conf.OmitArgPrefixes[Selection]) -> int:
     """Attempts a second of BinPickSelect-v0, in full and fast, in as many processes as there are workers."""
-    from policies.bench_selection import bench_selection  # compiled kernels, which take seconds to import
+    from policies.benchmarks.selection import bench_selection  # compiled kernels, which take seconds to import
 
     return _bench("selection", args, lambda: bench_selection(args.part, args.seed, args.picks, args.workers))
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from binpick_env.evaluation.pose.calibration import Sample, fit_confidence, load_sample, operating_points, predicted
+from binpick_env.evaluation.pose.evaluation import CONFIG_FILE
+from binpick_env.jobs.text_tables import columns
 from binpick_env.parts import load_part
-from binpick_env.pose_calibration import Sample, fit_confidence, load_sample, operating_points, predicted
-from binpick_env.pose_evaluation import CONFIG_FILE
-from binpick_env.text_tables import columns
-from perception.files import json_text, write_atomically
-from perception.pose.confidence import ConfidenceConfig
+from perception.pose.verification.confidence import ConfidenceConfig
+from perception.runtime.files import json_text, write_atomically
 
 SCORES = (0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95)
 

@@ -8,11 +8,11 @@ import tyro
 from tqdm import tqdm
 
 from binpick_env.config import SensorPreset
-from perception.files import json_text, write_atomically
-from perception.provenance import command_line, git_commit
-from perception.threads import one_core
-from policies.fast_agreement import agreement_table, paired_attempts
-from policies.selection_env import GraspSelectionEnv
+from perception.runtime.files import json_text, write_atomically
+from perception.runtime.provenance import command_line, git_commit
+from perception.runtime.threads import one_core
+from policies.selection.env import GraspSelectionEnv
+from policies.selection.fast_agreement import agreement_table, paired_attempts
 
 
 @dataclass(frozen=True, kw_only=True)

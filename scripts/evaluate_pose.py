@@ -9,22 +9,22 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
+from binpick_env.cell.settle import SettleError
 from binpick_env.config import Backend, CameraConfig, SensorPreset
+from binpick_env.evaluation.pose.ablation import pose_rows, run_pose_ablation
+from binpick_env.evaluation.pose.ablation_table import pose_ablation_table
+from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_poses
+from binpick_env.evaluation.pose.judgement import load_pose_scores
+from binpick_env.evaluation.pose.method import PoseMethodConfig, PosePerception
+from binpick_env.evaluation.pose.report import write_pose_report
+from binpick_env.evaluation.pose.summary import summarise_poses
+from binpick_env.evaluation.pose.table import pose_table, table_three
+from binpick_env.evaluation.segmentation.summary import save_summary
+from binpick_env.jobs.process_map import WorkerError
 from binpick_env.parts import Unit
-from binpick_env.pose_ablation import pose_rows, run_pose_ablation
-from binpick_env.pose_ablation_table import pose_ablation_table
-from binpick_env.pose_evaluation import PoseEvaluationConfig, evaluate_poses
-from binpick_env.pose_judgement import load_pose_scores
-from binpick_env.pose_method import PoseMethodConfig, PosePerception
-from binpick_env.pose_report import write_pose_report
-from binpick_env.pose_summary import summarise_poses
-from binpick_env.pose_table import pose_table, table_three
-from binpick_env.process_map import WorkerError
-from binpick_env.segmentation_summary import save_summary
-from binpick_env.settle import SettleError
-from binpick_env.synthesis import SceneConfig
-from perception.pose.appearances import edge_appearances
+from binpick_env.scenes.synthesis import SceneConfig
 from perception.pose.estimator_config import EstimatorConfig
+from perception.pose.model.appearances import edge_appearances
 from perception.segmentation.weights import find_weights
 
 

@@ -9,19 +9,19 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from binpick_env.ablation import AblationConfig, run_ablation
-from binpick_env.ablation_table import ablation_table
+from binpick_env.cell.settle import SettleError
 from binpick_env.config import Backend, CameraConfig, SensorPreset
-from binpick_env.evaluation import EvaluationConfig, evaluate_scenes
+from binpick_env.evaluation.segmentation.ablation import AblationConfig, run_ablation
+from binpick_env.evaluation.segmentation.ablation_table import ablation_table
+from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, evaluate_scenes
+from binpick_env.evaluation.segmentation.method import Kind, MethodConfig
+from binpick_env.evaluation.segmentation.report import write_report
+from binpick_env.evaluation.segmentation.summary import load_scores, save_summary, summarise
+from binpick_env.evaluation.segmentation.table import segmentation_table
+from binpick_env.jobs.process_map import WorkerError
 from binpick_env.parts import Unit
-from binpick_env.process_map import WorkerError
-from binpick_env.segmentation_method import Kind, MethodConfig
-from binpick_env.segmentation_report import write_report
-from binpick_env.segmentation_summary import load_scores, save_summary, summarise
-from binpick_env.segmentation_table import segmentation_table
-from binpick_env.settle import SettleError
-from binpick_env.synthesis import SceneConfig
-from perception.segmentation.training import TrainingError
+from binpick_env.scenes.synthesis import SceneConfig
+from perception.segmentation.training.loop import TrainingError
 from perception.segmentation.weights import find_weights
 
 

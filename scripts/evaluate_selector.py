@@ -9,13 +9,13 @@ import tyro
 from tqdm import tqdm
 
 from binpick_env.config import CameraConfig, SensorPreset
-from binpick_env.perceiver import Perception
-from policies.conditions import conditions
-from policies.evaluation import BinError, EvaluationConfig
-from policies.jobs import Job
-from policies.records import BinRecord
-from policies.selector_evaluation import compare_selectors, evaluate_selectors, save_standings, standings_table
-from policies.selectors import SELECTORS
+from binpick_env.observation.perceiver import Perception
+from policies.evaluation.bin_evaluation import BinError, EvaluationConfig
+from policies.evaluation.conditions import conditions
+from policies.evaluation.jobs import Job
+from policies.evaluation.records import BinRecord
+from policies.selection.evaluation import compare_selectors, evaluate_selectors, save_standings, standings_table
+from policies.selection.selectors import SELECTORS
 
 
 @dataclass(frozen=True, kw_only=True)

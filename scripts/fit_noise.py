@@ -7,9 +7,9 @@ from pathlib import Path
 import tyro
 
 from binpick_env.config import SensorPreset
-from binpick_env.noise_fit import fit_noise, look_at_bins, save_noise
-from binpick_env.perception_noise import SHIPPED
-from perception.provenance import command_line, git_commit
+from binpick_env.evaluation.noise_fit import fit_noise, look_at_bins, save_noise
+from binpick_env.observation.perception_noise import SHIPPED
+from perception.runtime.provenance import command_line, git_commit
 
 
 @dataclass(frozen=True, kw_only=True)

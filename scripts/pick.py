@@ -12,18 +12,18 @@ import tyro
 from tqdm import tqdm
 
 from binpick_env.config import Backend, CameraConfig, SensorPreset
+from binpick_env.observation.perceiver import Perception, PoseNoise
 from binpick_env.parts import Unit
-from binpick_env.perceiver import Perception, PoseNoise
-from perception.provenance import git_commit
-from policies.budget import budget_jobs
-from policies.conclusion import conclude, conclude_budget
-from policies.evaluation import BinError, EvaluationConfig
-from policies.jobs import Job, run_job
-from policies.outcomes import PickResult
-from policies.recording import check_recording
-from policies.records import BinRecord
-from policies.tables import found_note, part_note
-from policies.video import check_video
+from perception.runtime.provenance import git_commit
+from policies.evaluation.bin_evaluation import BinError, EvaluationConfig
+from policies.evaluation.budget import budget_jobs
+from policies.evaluation.jobs import Job, run_job
+from policies.evaluation.records import BinRecord
+from policies.evaluation.tables import found_note, part_note
+from policies.grasping.outcomes import PickResult
+from policies.report.conclusion import conclude, conclude_budget
+from policies.report.recording import check_recording
+from policies.report.video import check_video
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from policies.portrait import portrait, save_png
+from policies.report.portrait import portrait, save_png
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +45,10 @@ def main(args: Arguments) -> int:
 
 def _segmentation(part: str, seed: int) -> NDArray[np.uint8]:
     # torch takes seconds to import
-    from binpick_env.evaluation import EvaluationConfig, evaluate_scene
-    from binpick_env.segmentation_method import MethodConfig
-    from binpick_env.segmentation_pictures import side_by_side
-    from binpick_env.synthesis import SceneConfig
+    from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, evaluate_scene
+    from binpick_env.evaluation.segmentation.method import MethodConfig
+    from binpick_env.evaluation.segmentation.pictures import side_by_side
+    from binpick_env.scenes.synthesis import SceneConfig
     from perception.segmentation.weights import find_weights
 
     method = MethodConfig(weights=find_weights(Path(part).stem))
@@ -56,13 +56,13 @@ def _segmentation(part: str, seed: int) -> NDArray[np.uint8]:
 
 
 def _poses(part: str, seed: int) -> NDArray[np.uint8]:
+    from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_pose_scene
+    from binpick_env.evaluation.pose.judgement import PoseScore
+    from binpick_env.evaluation.pose.method import PoseMethodConfig
+    from binpick_env.evaluation.pose.pictures import outlines
     from binpick_env.parts import load_part
-    from binpick_env.pose_evaluation import PoseEvaluationConfig, evaluate_pose_scene
-    from binpick_env.pose_judgement import PoseScore
-    from binpick_env.pose_method import PoseMethodConfig
-    from binpick_env.pose_pictures import outlines
-    from binpick_env.synthesis import SceneConfig
-    from perception.pose.appearances import edge_appearances
+    from binpick_env.scenes.synthesis import SceneConfig
+    from perception.pose.model.appearances import edge_appearances
     from perception.segmentation.weights import find_weights
 
     method = PoseMethodConfig(perception="learned", weights=find_weights(Path(part).stem))

@@ -12,23 +12,23 @@ import torch
 import tyro
 from tqdm import tqdm
 
-from binpick_env.folder_claim import claim
-from binpick_env.process_map import WorkerError, map_indices
-from binpick_env.text_tables import columns
-from perception.files import write_atomically
-from perception.s3dis.evaluation import S3disScores, match_rooms
-from perception.s3dis.prepare import prepare_rooms, summary
-from perception.s3dis.published import SOURCE, table_rows
-from perception.s3dis.raw_tree import find_raw_rooms
-from perception.s3dis.record import recorded
-from perception.s3dis.subject import Subject
-from perception.s3dis.synthesis import SynthesisConfig, synthesize_rooms
+from binpick_env.jobs.folder_claim import claim
+from binpick_env.jobs.process_map import WorkerError, map_indices
+from binpick_env.jobs.text_tables import columns
+from perception.runtime.files import write_atomically
+from perception.runtime.threads import use_threads
+from perception.s3dis.data.prepare import prepare_rooms, summary
+from perception.s3dis.data.raw_tree import find_raw_rooms
+from perception.s3dis.data.record import recorded
+from perception.s3dis.evaluation.published import SOURCE, table_rows
+from perception.s3dis.evaluation.subject import Subject
+from perception.s3dis.scoring import S3disScores, match_rooms
+from perception.s3dis.synthesis.building import SynthesisConfig, synthesize_rooms
 from perception.s3dis.training import RowTraining, train_row
-from perception.segmentation.distributed import processes
-from perception.segmentation.progress import TrainingDisplay
-from perception.segmentation.run import WEIGHTS
-from perception.segmentation.training import TrainingError
-from perception.threads import use_threads
+from perception.segmentation.training.distributed import processes
+from perception.segmentation.training.loop import TrainingError
+from perception.segmentation.training.progress import TrainingDisplay
+from perception.segmentation.training.run import WEIGHTS
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 

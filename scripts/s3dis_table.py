@@ -10,14 +10,14 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from binpick_env.folder_claim import claim
-from binpick_env.process_map import WorkerError, map_indices
-from binpick_env.text_tables import columns
-from perception.files import write_atomically
-from perception.s3dis.published import SOURCE, table_rows
-from perception.s3dis.record import recorded
-from perception.s3dis.table import TableConfig, interval_lines, judge_rows, tabulate
-from perception.segmentation.training import TrainingError
+from binpick_env.jobs.folder_claim import claim
+from binpick_env.jobs.process_map import WorkerError, map_indices
+from binpick_env.jobs.text_tables import columns
+from perception.runtime.files import write_atomically
+from perception.s3dis.data.record import recorded
+from perception.s3dis.evaluation.published import SOURCE, table_rows
+from perception.s3dis.evaluation.table import TableConfig, interval_lines, judge_rows, tabulate
+from perception.segmentation.training.loop import TrainingError
 
 
 @dataclass(frozen=True, kw_only=True)

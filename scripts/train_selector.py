@@ -9,7 +9,7 @@ from typing import Literal
 import tyro
 from tqdm import tqdm
 
-from policies.selector_experience import Behaviour, Cells
+from policies.selection.learning.experience import Behaviour, Cells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +60,8 @@ def ppo(args: tyro.conf.OmitArgPrefixes[Ppo]) -> int:
     """Train by MaskablePPO."""
     try:
         # Here, since the extra `learn` is asked for.
-        from policies.selector_net import SelectorNetConfig
-        from policies.selector_training import PpoConfig, train_ppo
+        from policies.selection.learning.ppo import PpoConfig, train_ppo
+        from policies.selection.network import SelectorNetConfig
 
         network = SelectorNetConfig(hidden=args.hidden)
         config = PpoConfig(network=network, rollout=args.rollout, batch=min(64, args.rollout), seed=args.seed)
@@ -84,9 +84,9 @@ def ppo(args: tyro.conf.OmitArgPrefixes[Ppo]) -> int:
 def bandit(args: tyro.conf.OmitArgPrefixes[Bandit]) -> int:
     """Train a contextual bandit on logged attempts."""
     try:
-        from policies.selector_bandit import BanditConfig
-        from policies.selector_bandit_run import train_bandit
-        from policies.selector_net import SelectorNetConfig
+        from policies.selection.learning.bandit import BanditConfig
+        from policies.selection.learning.bandit_run import train_bandit
+        from policies.selection.network import SelectorNetConfig
 
         features = args.features or SelectorNetConfig().features
         network = SelectorNetConfig(features=features, hidden=args.hidden, context=args.context)

@@ -16,7 +16,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from perception.cache import Arrays, cached_arrays, digest
+from perception.runtime.cache import Arrays, cached_arrays, digest
 
 log = logging.getLogger(__name__)
 Pieces = tuple[trimesh.Trimesh, ...]

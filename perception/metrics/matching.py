@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.geometry import Floats, require_shape
-from perception.segmentation.instance import Instance
+from perception.instance import Instance
 
 OVERLAPS = (0.50, 0.55, 0.60, 0.65, 0.70, 0.75, 0.80, 0.85, 0.90)  # "AP" is the mean over these nine
 MATCHED_OVERLAPS = (0.25, *OVERLAPS)

@@ -9,7 +9,7 @@ import numpy as np
 
 from perception.geometry import Floats
 from perception.part import PartModel
-from perception.pose.appearances import edge_appearances
+from perception.pose.model.appearances import edge_appearances
 
 
 def expected_points(part: PartModel, K: Floats, depth: float) -> int:

@@ -12,26 +12,26 @@ import numpy as np
 from perception.boundary import BoundaryCloud
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, require_shape
+from perception.instance import Instance
 from perception.part import PartModel
-from perception.pose._verification_kernels import near_points
-from perception.pose.appearances import EdgeAppearances, edge_appearances
-from perception.pose.arrangement import arrange
-from perception.pose.bodies import body_model
-from perception.pose.boundary_index import BoundaryIndex, index_boundary
 from perception.pose.clustering import are_alike, cluster_poses
-from perception.pose.confidence import confidence
-from perception.pose.edge_models import edge_model
 from perception.pose.estimator_config import EstimatorConfig
-from perception.pose.firmness import firmness, small_turns
-from perception.pose.pair_features import build_table
-from perception.pose.refinement import refine_edges, refine_surface
-from perception.pose.surface_model import SurfaceModel, surface_model
-from perception.pose.thinning import thin_points
-from perception.pose.twins import part_twins
-from perception.pose.verification import Verdict, verify
-from perception.pose.voting import RawPoses, vote
-from perception.segmentation.instance import Instance
-from perception.threads import in_threads
+from perception.pose.hypotheses.voting import RawPoses, vote
+from perception.pose.model.appearances import EdgeAppearances, edge_appearances
+from perception.pose.model.edge_models import edge_model
+from perception.pose.model.near_symmetry import part_twins
+from perception.pose.model.pair_features import build_table
+from perception.pose.model.surface_model import SurfaceModel, surface_model
+from perception.pose.model.thinning import thin_points
+from perception.pose.selection.bodies import body_model
+from perception.pose.selection.greedy import arrange
+from perception.pose.verification._verification_kernels import near_points
+from perception.pose.verification.boundary_index import BoundaryIndex, index_boundary
+from perception.pose.verification.confidence import confidence
+from perception.pose.verification.perturbation import firmness, small_rotations
+from perception.pose.verification.refinement import refine_edges, refine_surface
+from perception.pose.verification.verification import Verdict, verify
+from perception.runtime.threads import in_threads
 
 RIVALS = 0.25  # of d_max: poses of a scene whose centres are nearer speak of the same points
 Group = tuple[Floats, Floats]  # (N, 3) boundary points, camera frame [m], and their (N, 3) tangents
@@ -122,7 +122,7 @@ class PoseEstimator:
         self.body = body_model(part, self.surface)
         self._quick_appearances = self.appearances.every(self.config.quick_step)
         self._quick_surface = surface_model(part, self.config.quick_spacing)
-        self._turns = small_turns(part)
+        self._turns = small_rotations(part)
         self._twins = part_twins(part, self.surface, self.config.twins)
 
     def estimate(self, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame) -> list[PoseEstimate]:
@@ -144,7 +144,7 @@ class PoseEstimator:
         """Return the best pose of each group, verified or not; None where none is voted for or possible.
 
         Note:
-            On as many threads as OpenCV may use (`perception.threads`); the same bits on any number.
+            On as many threads as OpenCV may use (`perception.runtime.threads`); the same bits on any number.
         """
         if len(boundary) == 0:
             return [None for _ in instances]

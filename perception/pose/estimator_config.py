@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass, field
 
-from perception.pose.bodies import BodyConfig
 from perception.pose.clustering import ClusterConfig
-from perception.pose.confidence import ConfidenceConfig
-from perception.pose.edge_models import EdgeModelConfig
-from perception.pose.pair_features import PairConfig
-from perception.pose.refinement import EdgeRefinement, SurfaceRefinement
-from perception.pose.twins import TwinConfig
-from perception.pose.verification import VerificationConfig
-from perception.pose.voting import VoteConfig
+from perception.pose.hypotheses.voting import VoteConfig
+from perception.pose.model.edge_models import EdgeModelConfig
+from perception.pose.model.near_symmetry import TwinConfig
+from perception.pose.model.pair_features import PairConfig
+from perception.pose.selection.bodies import BodyConfig
+from perception.pose.verification.confidence import ConfidenceConfig
+from perception.pose.verification.refinement import EdgeRefinement, SurfaceRefinement
+from perception.pose.verification.verification import VerificationConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.geometry import Floats, require_shape
-from perception.s3dis.categories import CATEGORIES
-from perception.segmentation.instance import Instance
+from perception.instance import Instance
+from perception.s3dis.data.categories import CATEGORIES
 
 Ints = NDArray[np.int64]
 MIN_SIZE_SHARE = 0.25  # of a category's mean size: a predicted object with fewer points is dropped (released code)

@@ -11,17 +11,17 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from perception.s3dis.blocks import BlockConfig, BlockSample, RoomFrame, cover_room, point_features
-from perception.s3dis.categories import CATEGORIES
-from perception.s3dis.dataset import sees_colour
+from perception.instance import Instance
+from perception.s3dis.data.blocks import BlockConfig, BlockSample, RoomFrame, cover_room, point_features
+from perception.s3dis.data.categories import CATEGORIES
+from perception.s3dis.data.dataset import sees_colour
+from perception.s3dis.data.room import Room
 from perception.s3dis.merging import BlockMerger, MergeConfig, SampleGroups
-from perception.s3dis.room import Room
-from perception.segmentation.group_merging import GroupMergingConfig, merge_groups
-from perception.segmentation.grouping import GroupingConfig, Groups, group_points
-from perception.segmentation.instance import Instance
-from perception.segmentation.losses import PairLossConfig
-from perception.segmentation.output import PointOutputs
-from perception.segmentation.sgpn import SgpnConfig
+from perception.segmentation.grouping.group_merging import GroupMergingConfig, merge_groups
+from perception.segmentation.grouping.similarity import GroupingConfig, Groups, group_points
+from perception.segmentation.networks.output import PointOutputs
+from perception.segmentation.networks.sgpn import SgpnConfig
+from perception.segmentation.training.losses import PairLossConfig
 from perception.segmentation.weights import WeightsError, load_network, load_record
 
 PointNetwork = Callable[[torch.Tensor], PointOutputs]

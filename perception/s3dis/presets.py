@@ -3,12 +3,12 @@
 from dataclasses import replace
 from typing import Literal, get_args
 
-from perception.s3dis.categories import CATEGORIES
-from perception.s3dis.dataset import COLOURED, COLOURLESS
-from perception.segmentation.augment import NONE
-from perception.segmentation.losses import PairLossConfig
-from perception.segmentation.presets import PRESETS, TrainingConfig
-from perception.segmentation.sgpn import SgpnConfig, Trunk
+from perception.s3dis.data.categories import CATEGORIES
+from perception.s3dis.data.dataset import COLOURED, COLOURLESS
+from perception.segmentation.networks.sgpn import SgpnConfig, Trunk
+from perception.segmentation.training.augment import NONE
+from perception.segmentation.training.losses import PairLossConfig
+from perception.segmentation.training.presets import PRESETS, TrainingConfig
 
 RowName = Literal["sgpn-colour", "dgcnn-colour", "dgcnn-new", "dgcnn-new-colour"]
 ROWS: tuple[RowName, ...] = get_args(RowName)  # in the table's order

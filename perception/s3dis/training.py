@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from perception.metrics.matching import match_scene
-from perception.s3dis.blocks import BlockConfig
-from perception.s3dis.categories import AREAS, CATEGORIES, TEST_AREA
-from perception.s3dis.dataset import BlockBatches, PackedRoom, load_packed_rooms, sees_colour
-from perception.s3dis.evaluation import S3disScores, room_rng, room_truth
+from perception.s3dis.data.blocks import BlockConfig
+from perception.s3dis.data.categories import AREAS, CATEGORIES, TEST_AREA
+from perception.s3dis.data.dataset import BlockBatches, PackedRoom, load_packed_rooms, sees_colour
+from perception.s3dis.data.room import Room, find_rooms, mean_sizes
 from perception.s3dis.merging import MIN_SIZE_SHARE
 from perception.s3dis.predictor import RoomPredictorConfig, describe_room, merge_samples_at, sample_grouping
 from perception.s3dis.presets import BudgetName, RowName, row_training
-from perception.s3dis.room import Room, find_rooms, mean_sizes
-from perception.segmentation.distributed import Place
-from perception.segmentation.presets import EPOCHS, TrainingConfig
-from perception.segmentation.run import Log, RunConfig, resume, train
-from perception.segmentation.training import Length, StepRecord, Trainer
+from perception.s3dis.scoring import S3disScores, room_rng, room_truth
+from perception.segmentation.training.distributed import Place
+from perception.segmentation.training.loop import Length, StepRecord, Trainer
+from perception.segmentation.training.presets import EPOCHS, TrainingConfig
+from perception.segmentation.training.run import Log, RunConfig, resume, train
 from perception.segmentation.weights import Network
 
 NAME = "s3dis"  # what the networks are for, in their records

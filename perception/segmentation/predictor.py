@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from perception.boundary import BoundaryCloud
 from perception.geometry import Floats
-from perception.segmentation.dataset import centred
-from perception.segmentation.grid import place_in, view_grid
-from perception.segmentation.grid_net import GridInputs, GridNet
-from perception.segmentation.grouping import GroupingConfig, group_points
-from perception.segmentation.instance import Instance, instances_of
-from perception.segmentation.output import PointOutputs
-from perception.segmentation.precision import half_precision
+from perception.instance import Instance, instances_of
+from perception.segmentation.grouping.similarity import GroupingConfig, group_points
+from perception.segmentation.networks.grid import place_in, view_grid
+from perception.segmentation.networks.grid_net import GridInputs, GridNet
+from perception.segmentation.networks.inputs import centred
+from perception.segmentation.networks.output import PointOutputs
+from perception.segmentation.networks.precision import half_precision
 from perception.segmentation.surface import Surface
 from perception.segmentation.weights import Network, find_weights, load_network
 

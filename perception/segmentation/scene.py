@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.boundary import BoundaryCloud
-from perception.files import replace_atomically
 from perception.geometry import Floats, require_shape
+from perception.runtime.files import replace_atomically
 from perception.segmentation.surface import Surface
 
 SCENE_VERSION = 1  # raise it when a field changes its meaning

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.geometry import Floats
+from perception.instance import Instance
 from perception.metrics.matching import SceneMatches, SceneTruth, match_scene
-from perception.segmentation.instance import Instance
 from perception.segmentation.scene import BoundaryScene
 
 COUNTED_FROM = 0.1  # visible_fraction from which a part counts; hits on the others are ignored

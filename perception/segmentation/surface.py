@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perception import _kernels
 from perception.boundary import BoundarySettings
 from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import require_shape
+from perception.segmentation import _surface_kernels as _kernels
 
 CELLS_PER_D_MAX = 80  # fine enough for the network's cells, twice as large, to be sampled from at any turn
 STEP = BoundarySettings.step  # depths of one cell that differ by less are one surface [m]
@@ -41,7 +41,7 @@ def coarse_surface(frame: Frame, workspace: Workspace, d_max: float) -> Surface:
     """Return the nearest surface over the bin's part of the image, in cells of about ``d_max / 80``, or of a pixel.
 
     Args:
-        frame: One exposure.
+        frame: One labelled_capture.
         workspace: The bin.
         d_max: The part's largest extent [m].
 

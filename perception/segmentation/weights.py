@@ -10,11 +10,11 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 
-from perception.cache import cache_folder
-from perception.files import json_text, replace_atomically, write_atomically
-from perception.segmentation.grid_net import GridNet, GridNetConfig
-from perception.segmentation.sgpn import Sgpn, SgpnConfig
-from perception.segmentation.tensor_files import save_tensors
+from perception.runtime.cache import cache_folder
+from perception.runtime.files import json_text, replace_atomically, write_atomically
+from perception.runtime.tensor_files import save_tensors
+from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
+from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
 
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
 SHARED = "shared"  # the network for every part of the catalogue

@@ -1,0 +1,1 @@
+"""The depth camera: rendering, sensor noise and the frames it delivers."""

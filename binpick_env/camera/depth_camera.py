@@ -1,0 +1,166 @@
+"""The overhead depth camera: true depth and ids from one of three backends, then shading and the sensor's noise."""
+
+import os
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from binpick_env.camera.egl import EglRenderer
+from binpick_env.camera.raster import Rasteriser
+from binpick_env.camera.rays import RayCaster
+from binpick_env.camera.sensor import SensorModel, sensor_model
+from binpick_env.camera.shading import Light
+from binpick_env.camera.view import Hits, View, geoms_in_camera, visible_geoms
+from binpick_env.config import CameraConfig, SensorPreset
+from perception.frame import Frame, Workspace, bin_region
+from perception.geometry import Floats, camera_matrix, make_transform, require_shape
+
+MARGIN = 0.03  # beside the bin's inner box: its walls and a little of the table [m]
+HEADROOM = 0.03  # above the rim, for a heaped pile [m]
+_TO_EYE = np.array([0.0, 0.0, -1.0], np.float32)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Capture:
+    """One labelled_capture, and the truth behind it.
+
+    Attributes:
+        frame: What a real camera would deliver.
+        instance_ids: (H, W) int64 part seen by each pixel, -1 for the container and for nothing.
+        depth_true: (H, W) float32 noise-free depth [m], 0 where there is nothing or outside the region.
+        normals: (H, W, 3) float32 unit normals, camera frame, towards the eye, smooth across facets; 0 for nothing.
+        region: Half-open rectangle ``(u0, v0, u1, v1)`` of the pixels that were looked at.
+        T_world_cam: (4, 4) where the camera was; the frame has where it is believed to have been.
+    """
+
+    frame: Frame
+    instance_ids: NDArray[np.int64]
+    depth_true: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    region: tuple[int, int, int, int]
+    T_world_cam: Floats
+
+
+class DepthCamera:
+    """A structured-light camera over the bin; sees geoms of group 2, and looks only where the bin is in the image."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        config: CameraConfig,
+        workspace: Workspace,
+        instance_of_geom: NDArray[np.int64],
+        T_world_cam: Floats | None = None,
+        *,
+        threads: int | None = None,
+    ) -> None:
+        """Prepare the model's visible geoms; the model's groups, sizes and meshes must not change afterwards.
+
+        Args:
+            model: Whose visible geoms are in group 2.
+            config: Image, optics and backend.
+            workspace: The bin.
+            instance_of_geom: (ngeom,) part of each geom, -1 for none.
+            T_world_cam: (4, 4) pose of the camera, OpenCV axes; straight above the bin by default.
+            threads: For casting rays; all cores of this process by default. The result does not depend on it.
+        """
+        instance_of_geom = np.asarray(instance_of_geom, np.int64)
+        if instance_of_geom.shape != (model.ngeom,):
+            raise ValueError(f"instance_of_geom must be (ngeom,) = ({model.ngeom},), got {instance_of_geom.shape}")
+        self.config = config
+        self.workspace = workspace
+        self.K = camera_matrix(config.focal_px, config.width, config.height)
+        self._model = model
+        self._geoms = visible_geoms(model)
+        self._instances = np.append(instance_of_geom, -1)  # at -1: nothing
+        self._raster = Rasteriser(model)
+        if config.backend == "raster" and self._raster.left_out:
+            raise ValueError(
+                f"backend 'raster' draws meshes and boxes, but there are {', '.join(self._raster.left_out)}; use 'rays'"
+            )
+        threads = len(os.sched_getaffinity(0)) if threads is None else threads
+        self._rays = RayCaster(model, threads) if config.backend == "rays" else None
+        self._egl = EglRenderer(model, config.width, config.height) if config.backend == "egl" else None
+        self.move(default_pose(workspace, config.distance) if T_world_cam is None else T_world_cam)
+
+    def move(self, T_world_cam: Floats) -> None:
+        """Put the camera at another (4, 4) pose, OpenCV axes."""
+        require_shape("T_world_cam", T_world_cam, (4, 4))
+        if not np.isfinite(T_world_cam).all():
+            raise ValueError("T_world_cam must be finite")
+        self.T_world_cam = np.array(T_world_cam, np.float64)
+        self.displace(np.zeros(3))
+
+    def displace(self, offset_world: Floats) -> None:
+        """Report a place that is (3,) ``offset_world`` [m] beside the true one, as a bad hand-eye calibration does."""
+        require_shape("offset_world", offset_world, (3,))
+        self.offset_world = np.array(offset_world, np.float64)
+
+    def capture(
+        self,
+        data: mujoco.MjData,
+        rng: np.random.Generator,
+        sensor: SensorPreset | SensorModel = "good",
+        light: Light | None = None,
+    ) -> Capture:
+        """Take a frame of ``data``, whose kinematics must be up to date (``mj_forward`` or a step's).
+
+        Args:
+            data: Of the model that the camera was made with; read only.
+            rng: The sensor's chance.
+            sensor: A preset's name, or a model.
+            light: How the grey image is lit; :class:`Light`'s defaults if left out.
+
+        Raises:
+            ValueError: If ``data`` is of another model or a visible geom's pose is not finite.
+        """
+        measures = sensor_model(sensor)
+        hits, region = self._look(data)
+        depth_true = hits.depth.astype(np.float32)
+        instance_ids = self._instances[hits.geom_at]
+        grey = (light or Light()).shade(depth_true, hits.normals, instance_ids, self.K)
+        depth = measures.apply(depth_true, hits.normals, self.K, rng)
+        reported = make_transform(translation=self.offset_world) @ self.T_world_cam
+        frame = Frame(grey=grey, depth=depth, K=self.K.copy(), T_world_cam=reported)
+        u0, v0, u1, v1 = (int(x) for x in region)
+        return Capture(
+            frame=frame,
+            instance_ids=instance_ids,
+            depth_true=depth_true,
+            normals=hits.normals,
+            region=(u0, v0, u1, v1),
+            T_world_cam=self.T_world_cam.copy(),
+        )
+
+    def close(self) -> None:
+        """Free the GL context of backend ``egl``; the other backends hold nothing."""
+        if self._egl is not None:
+            self._egl.close()
+
+    def _look(self, data: mujoco.MjData) -> tuple[Hits, NDArray[np.int64]]:
+        if data.geom_xpos.shape[0] != self._model.ngeom:
+            raise ValueError(f"data has {data.geom_xpos.shape[0]} geoms, the camera's model {self._model.ngeom}")
+        size = (self.config.width, self.config.height)
+        region = bin_region(self.workspace, self.K, self.T_world_cam, size, margin=MARGIN, headroom=HEADROOM)
+        rotations, positions = geoms_in_camera(self._model, data, self._geoms, self.T_world_cam)
+        view = View(K=self.K, width=size[0], height=size[1], region=region, rotations=rotations, positions=positions)
+        if self._rays is not None:
+            return self._raster.smooth(view, self._rays.cast(view)), region
+        if self._egl is None:
+            return self._raster.draw(view), region
+        hits = self._egl.render(data, view, self.T_world_cam)
+        # Where the raster sees another geom than GL, on outlines, the surface is taken to face the camera.
+        hits.normals[hits.geom_at >= 0] = _TO_EYE
+        return self._raster.smooth(view, hits), region
+
+
+def default_pose(workspace: Workspace, distance: float) -> Floats:
+    """Return ``T_world_cam`` (4, 4) straight above the bin: image x along the bin's x, the optical axis along its -z.
+
+    Args:
+        workspace: The bin.
+        distance: From the bin's inner floor [m].
+    """
+    return workspace.T_world_bin @ make_transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, distance))

@@ -1,0 +1,93 @@
+"""The structured-light sensor: what it measures of a true depth image, and what it loses."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from binpick_env.camera import _image_kernels
+from binpick_env.config import SensorPreset
+from perception.geometry import Floats, require_shape
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorModel:
+    """A camera with a projector beside it.
+
+    A pixel has no depth where the projector does not reach, where the surface is seen at more than ``max_incidence``,
+    and, with probability ``edge_loss``, beside a depth discontinuity. Elsewhere white Gaussian noise is added, of
+    standard deviation ``sigma_z (z / reference)^2 / cos(incidence)``. The grey image is not touched.
+    """
+
+    sigma_z: float = 0.0  # standard deviation of depth on a surface square to the ray, at `reference` [m]
+    reference: float = 0.9  # depth at which sigma_z holds [m]
+    edge_loss: float = 0.0  # share of the pixels beside depth discontinuities that are lost
+    edge_jump: float = 0.003  # a depth step that the surface's slope does not explain counts as an edge from here [m]
+    max_incidence: float = np.pi / 2  # angle between ray and surface normal beyond which nothing returns [rad]
+    baseline: float = 0.0  # projector's place along the camera's x axis [m]; 0 casts no shadow
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.sigma_z < np.inf and self.reference > 0 and self.edge_jump > 0):
+            raise ValueError(
+                "sigma_z must not be negative, reference and edge_jump must be positive, "
+                f"got {self.sigma_z}, {self.reference}, {self.edge_jump}"
+            )
+        if not 0 <= self.edge_loss <= 1:
+            raise ValueError(f"edge_loss must be in [0, 1], got {self.edge_loss}")
+        if not 0 < self.max_incidence <= np.pi / 2:
+            raise ValueError(f"max_incidence must be in (0, pi / 2], got {self.max_incidence}")
+        if not abs(self.baseline) <= 1:
+            raise ValueError(f"baseline must be within 1 m, got {self.baseline}")
+
+    @property
+    def is_perfect(self) -> bool:
+        """Whether every true depth is measured exactly."""
+        return self.sigma_z == self.edge_loss == self.baseline == 0 and self.max_incidence == np.pi / 2
+
+    def apply(
+        self,
+        depth_true: NDArray[np.float32],
+        normals: NDArray[np.float32],
+        K: Floats,
+        rng: np.random.Generator,
+    ) -> NDArray[np.float32]:
+        """Return the measured (H, W) float32 depth [m], 0 where there is no measurement.
+
+        Args:
+            depth_true: (H, W) float32 noise-free depth [m], 0 where there is nothing.
+            normals: (H, W, 3) float32 unit surface normals in the camera frame, towards the eye.
+            K: (3, 3) pinhole matrix [px].
+            rng: The only source of chance. A perfect sensor draws nothing, any other two numbers a pixel.
+        """
+        require_shape("depth_true", depth_true, (None, None))
+        require_shape("normals", normals, (*depth_true.shape, 3))
+        require_shape("K", K, (3, 3))
+        if self.is_perfect:
+            return depth_true.copy()
+        noise = rng.standard_normal(depth_true.shape, dtype=np.float32)
+        chance = rng.random(depth_true.shape, dtype=np.float32)
+        lost = _image_kernels.beside_steps(depth_true, normals, K, self.edge_jump) & (chance < self.edge_loss)
+        if self.baseline != 0:
+            lost |= _image_kernels.projector_shadow(depth_true, K, self.baseline)
+        min_cosine = float(np.cos(self.max_incidence))
+        measured: NDArray[np.float32] = _image_kernels.measure(
+            depth_true, normals, lost, K, noise, self.sigma_z, self.reference, min_cosine
+        )
+        return measured
+
+
+# The figures of the three presets are the project's definition of a sensor; official results use "good".
+PRESETS: dict[SensorPreset, SensorModel] = {
+    "none": SensorModel(),
+    "good": SensorModel(sigma_z=0.0003, edge_loss=0.02, max_incidence=np.deg2rad(75.0), baseline=0.15),
+    "harsh": SensorModel(sigma_z=0.001, edge_loss=0.10, max_incidence=np.deg2rad(65.0), baseline=0.15),
+}
+
+
+def sensor_model(sensor: SensorPreset | SensorModel) -> SensorModel:
+    """Return a preset by its name; a model is passed through."""
+    if isinstance(sensor, SensorModel):
+        return sensor
+    if sensor not in PRESETS:
+        raise ValueError(f"sensor must be one of {', '.join(PRESETS)} or a SensorModel, got {sensor!r}")
+    return PRESETS[sensor]

@@ -1,0 +1,1 @@
+"""The simulated cell: model, physics, settling, and the judgement of deliveries."""

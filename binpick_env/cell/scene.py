@@ -1,0 +1,123 @@
+"""The cell as one MjSpec: robot, table, bin, drop tray and, where wanted, the parts.
+
+Visible geoms are in group 2, collision shapes in group 3; cameras see group 2 only.
+"""
+
+import mujoco
+import numpy as np
+import trimesh
+
+from binpick_env.cell.robot import robot_spec
+from binpick_env.config import CellConfig, ContactConfig
+from binpick_env.parts import Part
+from perception.geometry import Floats, make_transform, quat_from_matrix
+
+VISIBLE, COLLISION = 2, 3
+PART = "part_"  # bodies are part_0, part_1, ...
+BIN_BODY, TRAY_BODY, TABLE_GEOM = "bin", "tray", "table"
+
+_BOX = mujoco.mjtGeom.mjGEOM_BOX
+_MESH = mujoco.mjtGeom.mjGEOM_MESH
+
+
+def cell_spec(config: CellConfig, part: Part | None = None, num_parts: int = 0) -> mujoco.MjSpec:
+    """Build the cell with ``num_parts`` copies of ``part``, each a free body, parked in a grid below the table."""
+    spec = robot_spec(config.robot)
+    spec.option.timestep = config.timestep
+    spec.visual.global_.offwidth = max(1280, config.camera.width)
+    spec.visual.global_.offheight = max(960, config.camera.height)
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.worldbody.add_light(name="lamp", pos=[0.2, -0.4, 2.0], dir=[0.1, 0.2, -1.0], castshadow=True)
+    spec.worldbody.add_geom(
+        name=TABLE_GEOM, type=_BOX, size=[0.8, 0.8, 0.05], pos=[0.3, 0, -0.05], rgba=[0.55, 0.5, 0.45, 1], group=VISIBLE
+    )
+    bin_ = config.bin
+    T_world_bin = bin_.workspace().T_world_bin
+    _add_box(spec, BIN_BODY, T_world_bin, bin_.inner_size, bin_.wall, config.contact, (0.32, 0.36, 0.42, 1))
+    tray = config.tray
+    T_world_tray = make_transform(translation=(*tray.position, tray.wall))
+    _add_box(spec, TRAY_BODY, T_world_tray, tray.inner_size, tray.wall, config.contact, (0.3, 0.42, 0.34, 1))
+    if part is not None and num_parts > 0:
+        _add_parts(spec, part, num_parts, config.contact)
+    return spec
+
+
+def _add_box(
+    spec: mujoco.MjSpec,
+    name: str,
+    T_world_box: Floats,
+    inner: tuple[float, float, float],
+    wall: float,
+    contact: ContactConfig,
+    rgba: tuple[float, float, float, float],
+) -> None:
+    """Add an open box; its frame's origin is the centre of the inner floor."""
+    body = spec.worldbody.add_body(name=name, pos=T_world_box[:3, 3], quat=quat_from_matrix(T_world_box[:3, :3]))
+    length, width, height = inner
+    long, short, high = length / 2, width / 2, height / 2
+    half = wall / 2
+    sides = {
+        "floor": ([long + wall, short + wall, half], [0, 0, -half]),
+        "wall_x+": ([half, short + wall, high], [long + half, 0, high]),
+        "wall_x-": ([half, short + wall, high], [-long - half, 0, high]),
+        "wall_y+": ([long, half, high], [0, short + half, high]),
+        "wall_y-": ([long, half, high], [0, -short - half, high]),
+    }
+    for side, (size, pos) in sides.items():
+        geom = body.add_geom(name=f"{name}/{side}", type=_BOX, size=size, pos=pos, rgba=rgba, group=VISIBLE)
+        _apply(geom, contact)
+
+
+def _add_parts(spec: mujoco.MjSpec, part: Part, num_parts: int, contact: ContactConfig) -> None:
+    _add_mesh(spec, "part", part.model.mesh)
+    for k, piece in enumerate(part.pieces):
+        _add_mesh(spec, f"part/piece_{k}", piece)
+    for i, T_world_part in enumerate(parking_poses(num_parts)):
+        body = spec.worldbody.add_body(name=f"{PART}{i}", pos=T_world_part[:3, 3])
+        body.add_freejoint(name=f"{PART}{i}")
+        body.joints[0].damping = [contact.joint_damping, 0, 0]  # linear, and no higher orders of velocity
+        body.explicitinertial = True
+        body.mass = part.mass
+        body.ipos = part.model.centre
+        body.fullinertia = [*np.diag(part.inertia), part.inertia[0, 1], part.inertia[0, 2], part.inertia[1, 2]]
+        body.add_geom(
+            name=f"{PART}{i}/visual",
+            type=_MESH,
+            meshname="part",
+            rgba=[0.62, 0.64, 0.67, 1],
+            group=VISIBLE,
+            contype=0,
+            conaffinity=0,
+            mass=0,
+        )
+        for k in range(len(part.pieces)):
+            geom = body.add_geom(
+                name=f"{PART}{i}/piece_{k}", type=_MESH, meshname=f"part/piece_{k}", group=COLLISION, mass=0
+            )
+            _apply(geom, contact)
+
+
+def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: trimesh.Trimesh) -> None:
+    spec.add_mesh(
+        name=name,
+        uservert=np.asarray(mesh.vertices, dtype=np.float64).ravel(),
+        userface=np.asarray(mesh.faces, dtype=np.int32).ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,  # mass is explicit; a shell accepts any piece
+    )
+
+
+def _apply(geom: mujoco.MjsGeom, contact: ContactConfig) -> None:
+    geom.condim = contact.condim
+    geom.friction = contact.friction
+    geom.solref = contact.solref
+    geom.solimp = contact.solimp
+
+
+def parking_poses(num_parts: int) -> Floats:
+    """Return (N, 4, 4) world poses, a grid far below the table, where parts wait untouched and asleep."""
+    i = np.arange(num_parts)
+    poses = np.tile(np.eye(4), (num_parts, 1, 1))
+    poses[:, 0, 3] = -3.0 - 0.25 * (i % 6)
+    poses[:, 1, 3] = 0.25 * (i // 6)
+    poses[:, 2, 3] = -4.0
+    return poses

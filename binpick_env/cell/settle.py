@@ -1,0 +1,87 @@
+"""Drop a pile of parts into the bin and let it come to rest."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from binpick_env.cell.simulation import Simulation
+from perception.geometry import make_transform, random_rotation
+
+BATCH_PERIOD = 0.12  # between two releases [s]
+SETTLE_LIMIT = 6.0  # after the last release [s]
+ATTEMPTS = 5
+
+
+class SettleError(RuntimeError):
+    """The pile did not come to rest inside the bin in any attempt."""
+
+
+def drop_and_settle(simulation: Simulation, count: int, rng: np.random.Generator) -> None:
+    """Fill the bin with ``count`` parts, dropped in random attitudes, four at a time, until all of them sleep.
+
+    A part that comes to rest outside of the bin is dropped again; a pile that does not come to rest is redrawn.
+
+    Raises:
+        ValueError: ``count`` is not in 0..capacity.
+        SettleError: No pile in ``ATTEMPTS`` attempts; the bin is then too small for the parts.
+    """
+    if not 0 <= count <= simulation.capacity:
+        raise ValueError(f"count must be in 0..{simulation.capacity}, got {count}")
+    for _ in range(ATTEMPTS):
+        simulation.reset()
+        waiting = list(range(count))
+        for _ in range(3):
+            _release(simulation, waiting, rng)
+            if not _settle(simulation):
+                break
+            waiting = [i for i in range(count) if not inside_bin(simulation)[i]]
+            if not waiting:
+                return
+    raise SettleError(
+        f"{count} parts of d_max {simulation.part.model.d_max * 1000:.0f} mm do not come to rest in a bin of "
+        f"{simulation.config.bin.inner_size} m; use fewer parts or a larger bin"
+    )
+
+
+def inside_bin(simulation: Simulation) -> NDArray[np.bool_]:
+    """Return the (capacity,) mask of parts in play whose centre is within the bin's walls and below twice its rim."""
+    workspace = simulation.config.bin.workspace()
+    headroom = float(workspace.inner_size[2])
+    return simulation.in_play & workspace.contains(simulation.part_centres(), headroom=headroom)
+
+
+def _release(simulation: Simulation, parts: list[int], rng: np.random.Generator) -> None:
+    """Let go of ``parts`` in batches of one a quadrant, just above what already lies there."""
+    workspace = simulation.config.bin.workspace()
+    reach = simulation.part.model.d_max / 2
+    room = np.maximum(workspace.inner_size[:2] / 2 - 2 * reach, 0.0)
+    spread = np.minimum(reach, workspace.inner_size[:2] / 2 - reach)
+    for start in range(0, len(parts), 4):
+        quadrants = rng.permutation(4)
+        middle = rng.triangular(-1.0, 0.0, 1.0, size=2) * 0.4 * room  # poured more towards the middle, as from a chute
+        top = _top(simulation)
+        for i, quadrant in zip(parts[start : start + 4], quadrants, strict=False):
+            signs = np.array([1 if quadrant & 1 else -1, 1 if quadrant & 2 else -1])
+            centre = np.array([*(middle + signs * spread), top + reach + 0.01])
+            T_world_part = workspace.T_world_bin @ make_transform(random_rotation(rng), centre)
+            simulation.place(i, T_world_part)
+        simulation.advance(BATCH_PERIOD)
+
+
+def _top(simulation: Simulation) -> float:
+    """Return the height of the pile's highest possible point above the bin's floor [m]."""
+    workspace = simulation.config.bin.workspace()
+    if not simulation.in_play.any():
+        return float(workspace.inner_size[2])
+    heights = workspace.to_bin(simulation.part_centres()[simulation.in_play])[:, 2]
+    return float(max(heights.max() + simulation.part.model.d_max / 2, workspace.inner_size[2]))
+
+
+def _settle(simulation: Simulation) -> bool:
+    """Step until every part in play sleeps; False if that takes longer than ``SETTLE_LIMIT`` or a NaN appears."""
+    for _ in range(round(SETTLE_LIMIT / 0.05)):
+        simulation.advance(0.05)
+        if not np.all(np.isfinite(simulation.data.qpos)):
+            return False
+        if simulation.asleep()[simulation.in_play].all():
+            return True
+    return False

@@ -1,0 +1,79 @@
+"""The state of the physics, to go back to, and the cell that it belongs to."""
+
+import hashlib
+from dataclasses import dataclass, fields
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from binpick_env.config import CellConfig
+from perception.geometry import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """What a state belongs to.
+
+    Attributes:
+        part: Name.
+        parts: How many there is room for.
+        model: MuJoCo's signature of bodies, joints and geoms.
+        shapes: Hash of sizes, meshes and masses.
+        config: Every setting.
+    """
+
+    part: str
+    parts: int
+    model: int
+    shapes: str
+    config: CellConfig
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, config: CellConfig, part: str, parts: int) -> "Origin":
+        """Return what states of a model belong to."""
+        shapes = hashlib.sha256()
+        for values in (model.geom_size, model.mesh_vert, model.body_mass, model.body_inertia):
+            shapes.update(np.ascontiguousarray(values).tobytes())
+        signature = int(model.signature)
+        return cls(part=part, parts=parts, model=signature, shapes=shapes.hexdigest()[:12], config=config)
+
+    def require(self, other: "Origin") -> None:
+        """Raise unless a state of ``other`` is one of this cell, too.
+
+        Raises:
+            ValueError: It is not; the text names what differs.
+        """
+        mine, theirs = self._facts(), other._facts()
+        odd = [f"{name}: {theirs[name]} there, {mine[name]} here" for name in mine if mine[name] != theirs[name]]
+        if odd:
+            raise ValueError(f"the snapshot is of another cell ({'; '.join(odd)})")
+
+    def _facts(self) -> dict[str, object]:
+        settings = {each.name: getattr(self.config, each.name) for each in fields(self.config)}
+        return {"part": self.part, "parts": self.parts, **settings, "model": self.model, "shapes": self.shapes}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SimulationSnapshot:
+    """State of a `binpick_env.cell.simulation.Simulation`; nothing changes it.
+
+    Attributes:
+        origin: What it is a state of.
+        data: The physics', with contacts and what the solver starts from.
+        in_play: (capacity,) mask.
+        target: (6,) last joint targets [rad].
+        target_before: (6,) those before.
+        gripper_target: 0 open to 1 closed.
+    """
+
+    origin: Origin
+    data: mujoco.MjData
+    in_play: NDArray[np.bool_]
+    target: Floats
+    target_before: Floats
+    gripper_target: float
+
+    def __reduce__(self) -> str:
+        """Refuse to be copied or sent: MuJoCo's own pickling forgets who sleeps."""
+        raise TypeError("a snapshot belongs to the process that took it: it can be neither copied nor pickled")

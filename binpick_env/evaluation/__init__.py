@@ -1,0 +1,1 @@
+"""Evaluations of segmentation and poses on synthetic scenes."""

@@ -1,0 +1,1 @@
+"""Pose estimation judged on synthetic scenes: records, summaries, tables, pictures."""

@@ -1,0 +1,248 @@
+"""What each idea of the pose estimation adds: rows over the same scenes and the same true segments."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_poses
+from binpick_env.evaluation.pose.judgement import PoseScore, load_pose_scores
+from binpick_env.evaluation.pose.method import PoseMethodConfig
+from binpick_env.evaluation.pose.statistics import (
+    METHODS,
+    bootstrap_weights,
+    ms_per_group,
+    pose_counts,
+    pose_intervals,
+    quotient,
+    resampled_quotients,
+)
+from binpick_env.evaluation.pose.summary import NOTE
+from binpick_env.jobs.folder_claim import claim
+from binpick_env.scenes.synthesis import SceneConfig, scene_note
+from perception.geometry import Floats
+from perception.metrics.average_precision import percentile_interval
+from perception.pose.estimator_config import EstimatorConfig
+from perception.pose.model.viewpoints import VIEW_COUNTS
+from perception.pose.selection.bodies import BodyConfig
+from perception.runtime.provenance import command_line, git_commit, versions
+
+METRICS = ("recognition_rate", "recall", "precision")
+RESAMPLES = 1000
+ANYWHERE = BodyConfig(overlap=0.999, protrusion=0.999)  # no two parts lie in each other as much, or out of the bin
+Report = Callable[[str], object]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseRow:
+    """A row of the table.
+
+    Attributes:
+        key: Name of its folder; rows of one key are computed once.
+        name: For people.
+        method: What is judged.
+        verified: Whether only verified poses are delivered.
+    """
+
+    key: str
+    name: str
+    method: PoseMethodConfig
+    verified: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseRowResult:
+    """A row's numbers.
+
+    Attributes:
+        name: For people.
+        recognition_rate: Of the trials.
+        trials: Their number.
+        recall: Of the parts visible to a half or more.
+        precision: Of the delivered poses.
+        delivered: Their number.
+        intervals: 95 % of the three.
+        against_full: Differences to the first row, (value, low, high), 95 % percentile bootstrap over the same scenes
+            for both; None in the first row.
+        ms_per_group: Median time of a group's poses [ms]; NaN without groups.
+        ms_pose: Median time of a scene's poses [ms].
+    """
+
+    name: str
+    recognition_rate: float
+    trials: int
+    recall: float
+    precision: float
+    delivered: int
+    intervals: dict[str, tuple[float, float]]
+    against_full: dict[str, tuple[float, float, float]] | None
+    ms_per_group: float
+    ms_pose: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseAblation:
+    """All rows.
+
+    Attributes:
+        rows: In the table's order, the full method first.
+        scenes: That every row was judged on.
+        threads: That a scene was computed on.
+        part: What was in the bins.
+        sensor: The depth camera's noise.
+        seed: Of the scenes.
+        interval_methods: How the rows' intervals were made.
+        note: How far paper and table can be compared.
+        command: Command line of the process that summed up.
+        git_commits: Of the code that made the records, and of this process.
+        versions: Python, platform and packages.
+    """
+
+    rows: list[PoseRowResult]
+    scenes: int
+    threads: list[int]
+    part: str
+    sensor: str
+    seed: int
+    interval_methods: dict[str, str] = field(default_factory=lambda: {name: METHODS[name] for name in METRICS})
+    note: str = NOTE
+    command: str = field(default_factory=command_line)
+    git_commits: list[str]
+    versions: dict[str, str] = field(default_factory=versions)
+
+
+def pose_rows(full: EstimatorConfig | None = None) -> list[PoseRow]:
+    """Return the rows, the full method first: one thing is different in each of the others."""
+    full = full or EstimatorConfig()
+
+    def row(key: str, name: str, estimator: EstimatorConfig = full, **changes: Any) -> PoseRow:
+        return PoseRow(key=key, name=name, method=PoseMethodConfig(estimator=estimator), **changes)
+
+    views = [
+        row(f"views-{count}", f"{count} view{'s' * (count > 1)}", replace(full, edges=replace(full.edges, views=count)))
+        for count in VIEW_COUNTS
+        if count != full.edges.views
+    ]
+    naive: tuple[tuple[Literal["no_flip", "raw"], str], ...] = (
+        ("no_flip", "tangents taken to point the same way"),
+        ("raw", "tangents' signs taken as they come"),
+    )
+    signs = [row(f"signs-{kind}", name, replace(full, pairs=replace(full.pairs, signs=kind))) for kind, name in naive]
+    return [
+        row("full", f"full method, {full.edges.views} views"),
+        row("pairs", "pairs of edges never seen together", replace(full, pairs=replace(full.pairs, same_view=False))),
+        *views,
+        *signs,
+        row("spread", "look-ups not spread over noise", replace(full, pairs=replace(full.pairs, angle_noise=0.0))),
+        row("alone", "bin and neighbours do not matter", replace(full, bodies=ANYWHERE)),
+        row("full", "without verification", verified=False),
+        replace(
+            row("whole-scene", "whole scene, no segments"),
+            method=PoseMethodConfig(perception="whole_scene", estimator=full),
+        ),
+    ]
+
+
+def run_pose_ablation(
+    scenes: SceneConfig,
+    count: int,
+    out: Path,
+    workers: int = 1,
+    *,
+    rows: Sequence[PoseRow] | None = None,
+    fresh: bool = False,
+    report: Report | None = None,
+) -> PoseAblation:
+    """Judge every row and tabulate; what lies in ``out`` already is not done again.
+
+    Args:
+        scenes: That all rows are judged on.
+        count: How many; more may be asked for later.
+        out: Folder of the rows' records.
+        workers: Processes.
+        rows: Of the table, the one that the others are compared with first; `pose_rows` unless given.
+        fresh: Compute what lies there, too.
+        report: Called with a line whenever another scene is done.
+
+    Raises:
+        ValueError: The folder is another ablation's, or there is no such part.
+        WorkerError: A process was killed; every finished scene is kept.
+    """
+    rows = pose_rows() if rows is None else rows
+    judged: dict[str, list[PoseScore]] = {}
+    for row in rows:
+        config = PoseEvaluationConfig(scenes=scenes, method=row.method)
+        part = config.load().part  # what is not there must not claim the folder
+        claim(out / "pose_ablation.json", scene_note(scenes), "an ablation of poses")
+        if row.key in judged:
+            continue
+        folder = out / "rows" / row.key
+        for k, _ in enumerate(evaluate_poses(config, count, folder, workers, fresh=fresh, pictures=False)):
+            if report is not None:
+                report(f"{row.name}: scene {k + 1} of {count}")
+        judged[row.key] = load_pose_scores(folder, count, part)
+    return tabulate_poses([(row, judged[row.key]) for row in rows], scenes, np.random.default_rng(scenes.seed))
+
+
+def tabulate_poses(
+    rows: Sequence[tuple[PoseRow, Sequence[PoseScore]]],
+    scenes: SceneConfig,
+    rng: np.random.Generator,
+    resamples: int = RESAMPLES,
+) -> PoseAblation:
+    """Sum up rows that were judged on the same scenes.
+
+    Args:
+        rows: With the scores of all scenes, in the table's order.
+        scenes: That they were judged on.
+        rng: The intervals' chance.
+        resamples: Of the bootstrap: scenes are drawn, the same for all rows.
+
+    Raises:
+        ValueError: There is no row, or not all have the same scenes.
+    """
+    if not rows or not rows[0][1]:
+        raise ValueError("there is nothing to tabulate: no row, or no scene")
+    first = [score.index for score in rows[0][1]]
+    for row, scores in rows:
+        if [score.index for score in scores] != first:
+            raise ValueError(f"all rows must be of the same scenes, {row.name!r} is of others")
+    weights = bootstrap_weights(len(first), rng, resamples)
+    full = pose_counts(rows[0][1], rows[0][0].verified)
+    results = [_result(row, scores, weights, None if k == 0 else full) for k, (row, scores) in enumerate(rows)]
+    every = [score for _, scores in rows for score in scores]
+    return PoseAblation(
+        rows=results,
+        scenes=len(first),
+        threads=sorted({score.threads for score in every}),
+        part=scenes.part,
+        sensor=scenes.sensor,
+        seed=scenes.seed,
+        git_commits=sorted({score.git_commit for score in every} | {git_commit()}),
+    )
+
+
+def _result(row: PoseRow, scores: Sequence[PoseScore], weights: Floats, full: Floats | None) -> PoseRowResult:
+    counts = pose_counts(scores, row.verified)
+    sums = counts.sum(axis=0)
+    return PoseRowResult(
+        name=row.name,
+        recognition_rate=quotient(sums[0], sums[1]),
+        trials=int(sums[1]),
+        recall=quotient(sums[2], sums[3]),
+        precision=quotient(sums[4], sums[5]),
+        delivered=int(sums[5]),
+        intervals=pose_intervals(counts, weights),
+        against_full=None if full is None else _differences(counts, full, weights),
+        ms_per_group=ms_per_group(scores),
+        ms_pose=float(np.median([score.ms["pose"] for score in scores])),
+    )
+
+
+def _differences(counts: Floats, full: Floats, weights: Floats) -> dict[str, tuple[float, float, float]]:
+    ones = np.ones((1, len(counts)))
+    value = (resampled_quotients(counts, ones) - resampled_quotients(full, ones))[0]
+    drawn = resampled_quotients(counts, weights) - resampled_quotients(full, weights)
+    return {name: (float(value[k]), *percentile_interval(drawn[:, k])) for k, name in enumerate(METRICS)}

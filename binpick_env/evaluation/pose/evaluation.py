@@ -1,0 +1,255 @@
+"""Poses judged on fresh scenes: a map of a pure function over indices, resumable, one file a scene."""
+
+import logging
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from binpick_env.config import CellConfig
+from binpick_env.evaluation.pose.method import PoseMethod, PoseMethodConfig, pose_method
+from binpick_env.evaluation.pose.record import EVIDENCE, STAGES, TRIALS, VERDICT, PoseRecord
+from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, require_unseen
+from binpick_env.evaluation.segmentation.record import RecordError, record_path
+from binpick_env.jobs.folder_claim import claim
+from binpick_env.jobs.process_map import map_indices
+from binpick_env.scenes.synthesis import LabelledCapture, SceneConfig, make_scene, scene_note
+from binpick_env.scenes.whole_part import whole_part_points
+from perception.boundary import BoundaryCloud, extract_boundary
+from perception.frame import Frame
+from perception.geometry import Floats
+from perception.instance import Instance, labels_of
+from perception.pose.candidates import nearest_groups
+from perception.pose.estimator import PoseEstimate
+from perception.pose.selection.explanation import explain_segments
+from perception.runtime.provenance import git_commit
+from perception.runtime.threads import use_threads
+from perception.segmentation.surface import coarse_surface
+
+_log = logging.getLogger(__name__)
+CONFIG_FILE = "pose_evaluation.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseEvaluationConfig:
+    """What an evaluation's numbers depend on, wall clock aside.
+
+    Attributes:
+        scenes: Made anew in memory; their seed must not be a training's.
+        method: What is judged.
+    """
+
+    scenes: SceneConfig = field(default_factory=SceneConfig)
+    method: PoseMethodConfig = field(default_factory=PoseMethodConfig)
+
+    def note(self) -> dict[str, Any]:
+        """Return all settings as plain values, the contents of files by their hash."""
+        return {**scene_note(self.scenes), "method": self.method.note()}
+
+    def load(self) -> PoseMethod:
+        """Return the method, ready to look at the part that lies in the bins."""
+        return pose_method(self.method, self.scenes.part, self.scenes.unit)
+
+    def whole_part_points(self) -> float:
+        """Return P of the paper times the depth it holds at [m]."""
+        return whole_part_points(self.scenes.part, self.scenes.unit, self.scenes.camera)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Sight:
+    """What a method makes of a frame.
+
+    Attributes:
+        instances: Groups of points; the true segments where none were used.
+        trials: Indices of those that a recognition rate counts.
+        estimates: All poses.
+        verified: (E,) which of them are delivered.
+        explained: Groups of points after the poses have explained them.
+        ms: Wall clock of each of `STAGES` [ms].
+    """
+
+    instances: list[Instance]
+    trials: list[int]
+    estimates: list[PoseEstimate]
+    verified: list[bool]
+    explained: list[Instance]
+    ms: dict[str, float]
+
+
+def evaluate_poses(
+    config: PoseEvaluationConfig,
+    count: int,
+    folder: Path,
+    workers: int = 1,
+    *,
+    fresh: bool = False,
+    pictures: bool = True,
+) -> Iterator[int]:
+    """Keep the records of scenes 0 to ``count - 1`` and yield each index as it is there.
+
+    Args:
+        config: What the records depend on.
+        count: How many; more may be asked for later.
+        folder: Where they are kept; whole ones that lie there are not computed again.
+        workers: Processes, each computing on one core; 1 computes in this one, on all cores.
+        fresh: Compute those that lie there, too.
+        pictures: Whether to keep the grey images.
+
+    Raises:
+        ValueError: The folder is another evaluation's, there is no such part, the weights are damaged or have seen
+            these scenes, or nothing is asked for.
+        FileNotFoundError: The part's or the weights' file does not exist.
+        WorkerError: A process was killed; every finished scene is kept.
+    """
+    if count < 1 or workers < 1:
+        raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
+    config.load()  # what cannot be loaded must not claim the folder
+    if config.method.network is not None:
+        require_unseen(EvaluationConfig(scenes=config.scenes, method=config.method.network))
+    claim(folder / CONFIG_FILE, _flat(config.note()), "an evaluation of poses")
+    missing = []
+    for index in range(count):
+        if not fresh and _is_whole(record_path(folder, index)):
+            yield index
+        else:
+            missing.append(index)
+    if missing:
+        config.whole_part_points()  # kept on disk, so that the workers find it there
+    threads = 1 if workers > 1 else len(os.sched_getaffinity(0))
+    yield from map_indices(partial(_keep_scene, config, folder, threads, pictures), missing, workers)
+
+
+def evaluate_pose_scene(config: PoseEvaluationConfig, index: int, threads: int = 1, picture: bool = True) -> PoseRecord:
+    """Make scene ``index``, estimate its poses and keep what has to be known.
+
+    Args:
+        config: What the record depends on.
+        index: Of the scene.
+        threads: That torch and OpenCV may use.
+        picture: Whether to keep the grey image.
+    """
+    made = make_scene(config.scenes, index)
+    method = config.load()
+    with use_threads(threads):
+        if not method.warm:
+            _look(config, method, made)
+            method.warm = True
+        sight = _look(config, method, made)
+    scene, frame = made.scene, made.capture.frame
+    u0, v0, u1, v1 = made.capture.region if picture else (0, 0, 0, 0)
+    estimates = sight.estimates
+    return PoseRecord(
+        labels=labels_of(sight.instances, len(scene.boundary)),
+        confidences=np.array([instance.score for instance in sight.instances], np.float64),
+        explained=labels_of(sight.explained, len(scene.boundary)),
+        explained_confidences=np.array([instance.score for instance in sight.explained], np.float64),
+        instance_ids=scene.instance_ids,
+        visible_fractions=scene.visible_fractions,
+        T_cam_parts=scene.T_cam_parts,
+        trials=np.array(sight.trials, np.int64),
+        poses=np.array([estimate.T_cam_part for estimate in estimates], np.float64).reshape(-1, 4, 4),
+        scores=np.array([estimate.score for estimate in estimates], np.float64),
+        groups=np.array([estimate.instance_idx for estimate in estimates], np.int64),
+        seen=np.array([estimate.visible_fraction for estimate in estimates], np.float64),
+        verdicts=_verdicts(estimates),
+        verified=np.array(sight.verified, np.bool_),
+        pixels=scene.boundary.pixels,
+        picture=frame.grey[v0:v1, u0:u1],
+        corner=(u0, v0),
+        K=frame.K,
+        whole_scene=not method.by_group,
+        ms=sight.ms,
+        threads=threads,
+        git_commit=git_commit(),
+    )
+
+
+def _look(config: PoseEvaluationConfig, method: PoseMethod, made: LabelledCapture) -> _Sight:
+    """Segment a frame and estimate its poses, keeping time."""
+    frame, workspace = made.capture.frame, CellConfig().bin.workspace()
+    clock = [time.perf_counter()]
+    boundary = extract_boundary(frame, workspace)
+    clock.append(time.perf_counter())
+    surface = coarse_surface(frame, workspace, method.part.d_max) if method.needs_surface else None
+    clock.append(time.perf_counter())
+    instances = method.segments(boundary, surface, made.scene)
+    clock.append(time.perf_counter())
+    estimates, verified = _poses(method, boundary, instances, frame)
+    clock.append(time.perf_counter())
+    groups = instances if method.by_group else []
+    explained = explain_segments(boundary, groups, estimates, method.estimator.surface, method.config.explanation)
+    clock.append(time.perf_counter())
+    spent = 1000 * np.diff(clock)
+    if not method.needs_surface:  # the truth was looked up, which is no segmentation
+        spent[1:3] = 0.0
+    trials = _trials(config, boundary, instances)
+    alone = _trial_ms(method, boundary, [instances[k] for k in trials], frame)
+    *stages, explanation = spent.tolist()
+    ms = dict(zip(STAGES, [*stages, alone, explanation, sum(stages)], strict=True))
+    return _Sight(
+        instances=instances, trials=trials, estimates=estimates, verified=verified, explained=explained, ms=ms
+    )
+
+
+def _poses(
+    method: PoseMethod, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame
+) -> tuple[list[PoseEstimate], list[bool]]:
+    """Return all poses of a scene, and which of them are delivered."""
+    if not method.by_group:
+        delivered = method.estimator.estimate_scene(boundary, frame)
+        return delivered, [True] * len(delivered)
+    estimates = method.estimator.estimate_groups(boundary, instances, frame)
+    kept = {estimate.instance_idx for estimate in method.estimator.verified(estimates)}
+    found = [estimate for estimate in estimates if estimate is not None]
+    return found, [estimate.instance_idx in kept for estimate in found]
+
+
+def _trials(config: PoseEvaluationConfig, boundary: BoundaryCloud, instances: Sequence[Instance]) -> list[int]:
+    """Return the groups that a recognition rate counts: those whose size is nearest to a whole part's."""
+    if not instances:
+        return []
+    expected = config.whole_part_points() / float(np.median(boundary.points_cam[:, 2]))
+    return nearest_groups([len(instance.point_idx) for instance in instances], max(round(expected), 1), count=TRIALS)
+
+
+def _trial_ms(method: PoseMethod, boundary: BoundaryCloud, chosen: Sequence[Instance], frame: Frame) -> float:
+    """Return how long the poses of these groups alone take [ms]; NaN where nothing is done by group."""
+    if not method.by_group or not chosen:
+        return np.nan
+    start = time.perf_counter()
+    method.estimator.estimate_groups(boundary, chosen, frame)
+    return 1000 * (time.perf_counter() - start)
+
+
+def _verdicts(estimates: Sequence[PoseEstimate]) -> Floats:
+    rows = [[*(getattr(e.verdict, name) for name in VERDICT), e.margin, e.firmness, e.size] for e in estimates]
+    return np.array(rows, np.float64).reshape(-1, len(EVIDENCE))
+
+
+def _keep_scene(config: PoseEvaluationConfig, folder: Path, threads: int, picture: bool, index: int) -> int:
+    evaluate_pose_scene(config, index, threads, picture).save(record_path(folder, index))
+    return index
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested settings by their dotted names, so that a difference names the one that differs."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return flat
+
+
+def _is_whole(path: Path) -> bool:
+    if not path.exists():
+        return False
+    try:
+        PoseRecord.load(path)
+    except RecordError as error:
+        _log.warning("evaluated again: %s", error)
+        return False
+    return True

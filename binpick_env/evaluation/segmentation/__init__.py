@@ -1,0 +1,1 @@
+"""Segmentation judged on synthetic scenes: records, summaries, tables, pictures."""

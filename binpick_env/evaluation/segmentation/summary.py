@@ -1,0 +1,249 @@
+"""From the records of evaluated scenes to the numbers that are printed; the field names are the JSON's keys."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig
+from binpick_env.evaluation.segmentation.method import MethodConfig
+from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord, record_path
+from binpick_env.scenes.clutter import ClutterStats, pooled_clutter
+from perception.metrics.average_precision import ap_summary, bootstrap_ap
+from perception.metrics.matching import SceneMatches
+from perception.runtime.files import json_text, write_atomically
+from perception.runtime.provenance import command_line, versions
+from perception.segmentation.weights import load_record
+
+BANDS = ((0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, np.inf))  # of the visible fraction
+PAPER = {"ap50": 0.505, "ap75": 0.254}  # table 2 of the paper, its whole method
+NOTE = (
+    "Scenes are synthetic, with simulated sensor noise. The paper tested on 20 hand-labelled real scenes of its own "
+    "Part A, which are not public (AP50 50.5, AP75 25.4): the two are not the same test."
+)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SceneScore:
+    """What is needed of a record beside its points.
+
+    Attributes:
+        index: Of the scene.
+        matches: Verdicts on the prediction.
+        bands: The same where only the parts of one of `BANDS` count.
+        ap: Of the scene alone; NaN without a part to find.
+        points: Boundary points.
+        wrong_side: Of these, on the wrong side of a contour.
+        contour: Of these, at contours.
+        clutter: How hidden the parts are.
+        ms: Wall clock by stage [ms].
+        threads: That computed.
+        git_commit: Of the code that made the record.
+    """
+
+    index: int
+    matches: SceneMatches
+    bands: tuple[SceneMatches, ...]
+    ap: float
+    points: int
+    wrong_side: int
+    contour: int
+    clutter: ClutterStats
+    ms: dict[str, float]
+    threads: int
+    git_commit: str
+
+    @classmethod
+    def of(cls, record: SceneRecord, index: int) -> "SceneScore":
+        """Judge a record."""
+        matches = record.matches()
+        return cls(
+            index=index,
+            matches=matches,
+            bands=tuple(record.matches(band) for band in BANDS),
+            ap=ap_summary([matches]).ap,
+            points=len(record.labels),
+            wrong_side=record.wrong_side,
+            contour=record.contour,
+            clutter=record.clutter,
+            ms=record.ms,
+            threads=record.threads,
+            git_commit=record.git_commit,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BandSummary:
+    """The parts of one band of visible fractions; predictions on parts outside it are neither right nor wrong.
+
+    Attributes:
+        low: Smallest visible fraction.
+        high: First beyond the band.
+        parts: To be found.
+        ap: As for all parts; NaN without a part. Likewise ap50, ap75 and ap25.
+        found50: Share of the parts that a prediction fits with an IoU over 0.5, whatever its score.
+        found75: Likewise over 0.75.
+    """
+
+    low: float
+    high: float
+    parts: int
+    ap: float
+    ap50: float
+    ap75: float
+    ap25: float
+    found50: float
+    found75: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentationSummary:
+    """An evaluation's numbers. APs are ScanNet's, over parts visible to 0.1 or more; NaN without a part to find.
+
+    Attributes:
+        ap: Mean over IoU .50, .55 ... .90. ap50, ap75 and ap25 are those at one IoU.
+        intervals: 95 % of the four, percentile bootstrap over scenes.
+        ms_per_scene: Median wall clock from a frame to labelled points [ms].
+        ms: Its stages' medians: boundary, surface, segmentation (network and grouping), total.
+        threads: That a scene was computed on.
+        by_visible_fraction: The same by band.
+        clutter: median (mean of the scenes' medians), below_half and above_nine_tenths (shares of all parts), parts.
+        scenes: Number of scenes.
+        points_per_scene: Median number of boundary points, all of which are labelled and scored.
+        wrong_side: Share of all boundary points that lie on the wrong side of a contour.
+        wrong_side_at_contours: Share of those at contours that do.
+        part: What was in the bins.
+        sensor: The depth camera's noise.
+        seed: Of the scenes.
+        method: How points became instances.
+        weights: path, sha256 and, of their training: git_commit, parts, steps, minutes, scenes; None without a network.
+        paper: What the paper reports.
+        note: How far the two can be compared.
+        config: All settings.
+        command: Command line of the process that summed up.
+        git_commits: Of the code that made the records; more than one if the code changed between them.
+        versions: Python, platform and packages.
+    """
+
+    ap: float
+    ap50: float
+    ap75: float
+    ap25: float
+    intervals: dict[str, tuple[float, float]]
+    ms_per_scene: float
+    ms: dict[str, float]
+    threads: list[int]
+    by_visible_fraction: list[BandSummary]
+    clutter: dict[str, float | None]
+    scenes: int
+    points_per_scene: float
+    wrong_side: float
+    wrong_side_at_contours: float
+    part: str
+    sensor: str
+    seed: int
+    method: dict[str, Any]
+    weights: dict[str, Any] | None
+    paper: dict[str, float] = field(default_factory=PAPER.copy)
+    note: str = NOTE
+    config: dict[str, Any]
+    command: str = field(default_factory=command_line)
+    git_commits: list[str]
+    versions: dict[str, str] = field(default_factory=versions)
+
+
+def load_scores(folder: Path, count: int) -> list[SceneScore]:
+    """Judge the records of scenes 0 to ``count - 1``.
+
+    Raises:
+        RecordError: One is missing or damaged.
+    """
+    return [SceneScore.of(SceneRecord.load(record_path(folder, index)), index) for index in range(count)]
+
+
+def summarise(
+    config: EvaluationConfig, scores: Sequence[SceneScore], rng: np.random.Generator, resamples: int = 1000
+) -> SegmentationSummary:
+    """Sum scenes up.
+
+    Args:
+        config: That their records are of.
+        scores: Of all scenes.
+        rng: The intervals' chance.
+        resamples: Of the bootstrap.
+
+    Raises:
+        ValueError: There is no scene.
+    """
+    if not scores:
+        raise ValueError("there is nothing to sum up: no scene was evaluated")
+    matches = [score.matches for score in scores]
+    whole = ap_summary(matches)
+    ms = {name: float(np.median([score.ms[name] for score in scores])) for name in STAGES}
+    return SegmentationSummary(
+        ap=whole.ap,
+        ap50=whole.ap50,
+        ap75=whole.ap75,
+        ap25=whole.ap25,
+        intervals=asdict(bootstrap_ap(matches, rng, resamples)),
+        ms_per_scene=ms["total"],
+        ms=ms,
+        threads=sorted({score.threads for score in scores}),
+        by_visible_fraction=[
+            _band(low, high, [score.bands[k] for score in scores]) for k, (low, high) in enumerate(BANDS)
+        ],
+        clutter=pooled_clutter([score.clutter for score in scores]),
+        scenes=len(scores),
+        points_per_scene=float(np.median([score.points for score in scores])),
+        wrong_side=_quotient(sum(score.wrong_side for score in scores), sum(score.points for score in scores)),
+        wrong_side_at_contours=_quotient(
+            sum(score.wrong_side for score in scores), sum(score.contour for score in scores)
+        ),
+        part=config.scenes.part,
+        sensor=config.scenes.sensor,
+        seed=config.scenes.seed,
+        method=config.method.note(),
+        weights=weights_facts(config.method),
+        config=config.note(),
+        git_commits=sorted({score.git_commit for score in scores}),
+    )
+
+
+def save_summary(path: Path, summary: Any) -> None:
+    """Write a dataclass as JSON, in one piece."""
+    write_atomically(path, json_text(asdict(summary)))
+
+
+def weights_facts(method: MethodConfig) -> dict[str, Any] | None:
+    """Return where a method's weights come from; None if it has none."""
+    if method.weights is None:
+        return None
+    record = load_record(method.weights)
+    made = {name: record.get(name) for name in ("git_commit", "parts", "steps", "minutes", "scenes")}
+    return {"path": str(method.weights), "sha256": method.digest(), **made}
+
+
+def _quotient(count: int, total: int) -> float:
+    return count / total if total else np.nan
+
+
+def _band(low: float, high: float, matches: Sequence[SceneMatches]) -> BandSummary:
+    summary = ap_summary(matches)
+    parts = sum(sum(scene.truth_counts.values()) for scene in matches)
+    found = []
+    for overlap in (0.5, 0.75):
+        at = [scene.correct[scene.overlap_idx == scene.overlaps.index(overlap)].sum() for scene in matches]
+        found.append(sum(at) / parts if parts else np.nan)
+    return BandSummary(
+        low=low,
+        high=min(high, 1.0),
+        parts=parts,
+        ap=summary.ap,
+        ap50=summary.ap50,
+        ap75=summary.ap75,
+        ap25=summary.ap25,
+        found50=float(found[0]),
+        found75=float(found[1]),
+    )

@@ -1,0 +1,64 @@
+"""A view to warm up on: kernels are compiled and loaded at their first call, which is no part of a frame's time."""
+
+import mujoco
+import numpy as np
+
+from binpick_env.camera.depth_camera import DepthCamera
+from binpick_env.camera.view import VISIBLE
+from binpick_env.config import CameraConfig
+from binpick_env.observation.perceiver import LabelledCapture
+from binpick_env.scenes.clutter import visible_fractions
+from perception.frame import Workspace
+from perception.geometry import Floats, make_transform, quat_from_matrix, rotation_about
+from perception.part import PartModel
+
+_CAMERA = CameraConfig(width=640, height=480)
+
+
+def warm_up_capture(part: PartModel, workspace: Workspace) -> LabelledCapture:
+    """Return what a small camera sees of two parts that lie against each other on the floor of an empty bin.
+
+    Args:
+        part: What lies there, as its frame has it, and turned over by a third of a turn.
+        workspace: The bin; its walls are left out.
+
+    Note:
+        0.1 s. Draws nothing by chance that anybody else uses, and steps no physics.
+    """
+    T_world_parts = workspace.T_world_bin @ np.stack([_lying(part, 0.0, -0.3), _lying(part, 2 * np.pi / 3, 0.3)])
+    model = _model(part, workspace, T_world_parts)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    instances = np.arange(model.ngeom) - 1  # the floor comes first
+    capture = DepthCamera(model, _CAMERA, workspace, instances, threads=1).capture(data, np.random.default_rng(0))
+    return LabelledCapture(
+        capture=capture,
+        workspace=workspace,
+        part=part,
+        T_world_parts=T_world_parts,
+        visible_fractions=visible_fractions(capture, part.mesh, T_world_parts),
+    )
+
+
+def _lying(part: PartModel, angle: float, aside: float) -> Floats:
+    """Return the (4, 4) pose in the bin of a part on its floor, turned about x [rad], ``aside`` [d_max] along x."""
+    T_bin_part = make_transform(rotation_about((1, 0, 0), angle))
+    lowest = (np.asarray(part.mesh.vertices) @ T_bin_part[:3, :3].T)[:, 2].min()
+    centre = T_bin_part[:3, :3] @ part.centre
+    T_bin_part[:3, 3] = aside * part.d_max - centre[0], -centre[1], -lowest
+    return T_bin_part
+
+
+def _model(part: PartModel, workspace: Workspace, T_world_parts: Floats) -> mujoco.MjModel:
+    """Return floor and parts as visible geoms of the world, in this order."""
+    spec = mujoco.MjSpec()
+    mesh = spec.add_mesh(name="part")
+    mesh.uservert, mesh.userface = np.asarray(part.mesh.vertices).ravel(), np.asarray(part.mesh.faces).ravel()
+    half = [*(workspace.inner_size[:2] / 2), 0.005]
+    T_world_floor = workspace.T_world_bin @ make_transform(translation=(0.0, 0.0, -half[2]))
+    kinds = [{"type": mujoco.mjtGeom.mjGEOM_BOX, "size": half}]
+    kinds += [{"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": "part"}] * len(T_world_parts)
+    for kind, T_world_geom in zip(kinds, [T_world_floor, *T_world_parts], strict=True):
+        quat = quat_from_matrix(T_world_geom[:3, :3])
+        spec.worldbody.add_geom(pos=T_world_geom[:3, 3], quat=quat, group=VISIBLE, **kind)
+    return spec.compile()

@@ -1,0 +1,1 @@
+"""Labelled synthetic scenes for training and evaluation."""

@@ -1,0 +1,204 @@
+"""Labelled boundary scenes: a pile dropped, seen by a camera whose place, light and noise vary, and its truth kept."""
+
+import hashlib
+import json
+import logging
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from binpick_env.camera.depth_camera import Capture, DepthCamera, default_pose
+from binpick_env.camera.sensor import PRESETS
+from binpick_env.camera.shading import Light
+from binpick_env.cell.settle import drop_and_settle
+from binpick_env.cell.simulation import Simulation
+from binpick_env.config import CameraConfig, CellConfig, SensorPreset
+from binpick_env.jobs.folder_claim import claim
+from binpick_env.jobs.process_map import map_indices
+from binpick_env.parts import CATALOGUE, Part, Unit, load_part
+from binpick_env.scenes.clutter import visible_fractions
+from perception.boundary import extract_boundary
+from perception.geometry import Floats, invert_transform, make_transform, rotation_about, transform_point_each
+from perception.runtime.files import json_text
+from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
+from perception.segmentation.surface import coarse_surface
+
+_log = logging.getLogger(__name__)
+SensorChoice = SensorPreset | Literal["mixed"]
+MIXTURE: dict[SensorPreset, float] = {"good": 0.7, "harsh": 0.2, "none": 0.1}  # shares under sensor "mixed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneConfig:
+    """What a scene depends on besides its index.
+
+    Attributes:
+        part: Catalogue name, or path of a mesh file.
+        unit: Of a file's coordinates; the plausible one unless given.
+        seed: Scene i's own chance follows from this and i alone.
+        num_parts: Smallest and largest fill of a bin.
+        sensor: A preset, or "mixed": drawn for each scene, mostly ``good``.
+        jitter: Vary the camera's place and the light; without, both are the cell's own.
+        camera: Image, optics, backend.
+    """
+
+    part: str = "tee"
+    unit: Unit | None = None
+    seed: int = 0
+    num_parts: tuple[int, int] = (20, 30)
+    sensor: SensorChoice = "good"
+    jitter: bool = True
+    camera: CameraConfig = field(default_factory=CameraConfig)
+
+    def __post_init__(self) -> None:
+        low, high = self.num_parts
+        if not 0 <= low <= high:
+            raise ValueError(f"num_parts must be (smallest, largest) from 0 up, got {self.num_parts}")
+        if self.seed < 0:
+            raise ValueError(f"seed must not be negative, got {self.seed}")
+        if self.sensor not in (*PRESETS, "mixed"):
+            raise ValueError(f"sensor must be one of {', '.join(PRESETS)}, mixed, got {self.sensor!r}")
+
+
+class LabelledCapture(NamedTuple):
+    """A scene and the frame it was made of."""
+
+    scene: BoundaryScene
+    capture: Capture
+
+
+@dataclass(frozen=True, eq=False)
+class _Studio:
+    """Simulation and camera of a configuration, kept between scenes: a reset leaves no trace of the last."""
+
+    part: Part
+    simulation: Simulation
+    camera: DepthCamera
+
+
+@lru_cache(maxsize=1)
+def _studio(config: SceneConfig) -> _Studio:
+    part = load_part(config.part, unit=config.unit)
+    simulation = Simulation(CellConfig(camera=config.camera), part, max(config.num_parts[1], 1))
+    workspace = simulation.config.bin.workspace()
+    camera = DepthCamera(simulation.model, config.camera, workspace, simulation.part_of_geom, threads=1)
+    return _Studio(part, simulation, camera)
+
+
+def make_scene(config: SceneConfig, index: int) -> LabelledCapture:
+    """Drop, look, label: scene ``index``, the same bits whatever was made before and by how many workers."""
+    rng = np.random.default_rng(np.random.SeedSequence([config.seed, index]))
+    studio = _studio(config)
+    simulation, camera, model = studio.simulation, studio.camera, studio.part.model
+    count = int(rng.integers(config.num_parts[0], config.num_parts[1] + 1))
+    drop_and_settle(simulation, count, rng)
+    sensor = _draw_sensor(rng) if config.sensor == "mixed" else config.sensor
+    camera.move(_draw_pose(camera, rng) if config.jitter else default_pose(camera.workspace, config.camera.distance))
+    capture = camera.capture(simulation.data, rng, sensor, draw_light(rng) if config.jitter else None)
+    boundary = extract_boundary(capture.frame, camera.workspace)
+    T_world_parts = simulation.part_poses()[:count]
+    T_cam_parts = invert_transform(camera.T_world_cam) @ T_world_parts
+    scene = BoundaryScene(
+        part=model.name,
+        d_max=model.d_max,
+        boundary=boundary,
+        surface=coarse_surface(capture.frame, camera.workspace, model.d_max),
+        K=capture.frame.K,
+        instance_ids=capture.instance_ids[boundary.pixels[:, 1], boundary.pixels[:, 0]],
+        T_cam_parts=T_cam_parts,
+        centres_cam=transform_point_each(T_cam_parts, model.centre),
+        visible_fractions=visible_fractions(capture, model.mesh, T_world_parts),
+    )
+    return LabelledCapture(scene, capture)
+
+
+def draw_light(rng: np.random.Generator) -> Light:
+    """Draw a lamp within 45 degrees of the camera's axis, its strength, and how dark contacts and container are."""
+    tilt, turn = np.arccos(rng.uniform(np.cos(np.pi / 4), 1.0)), rng.uniform(0.0, 2 * np.pi)
+    ambient = rng.uniform(0.15, 0.4)
+    return Light(
+        to_light=(float(np.sin(tilt) * np.cos(turn)), float(np.sin(tilt) * np.sin(turn)), -float(np.cos(tilt))),
+        ambient=float(ambient),
+        diffuse=float(1.0 - ambient),
+        part_albedo=float(rng.uniform(0.6, 0.9)),
+        container_albedo=float(rng.uniform(0.25, 0.6)),
+        falloff=float(rng.uniform(0.0, 0.8)),
+        occlusion=float(rng.uniform(0.6, 0.95)),
+        radius=float(rng.uniform(0.004, 0.007)),
+    )
+
+
+def _draw_sensor(rng: np.random.Generator) -> SensorPreset:
+    names = list(MIXTURE)
+    return names[int(rng.choice(len(names), p=list(MIXTURE.values())))]
+
+
+def _draw_pose(camera: DepthCamera, rng: np.random.Generator) -> Floats:
+    """Return ``T_world_cam`` up to 4 degrees off the vertical, 5 cm nearer or farther, and 1 cm aside."""
+    workspace = camera.workspace
+    distance = camera.config.distance + rng.uniform(-0.05, 0.05)
+    axis = np.append(rng.normal(size=2), 0.0)
+    tilt = make_transform(rotation_about(axis, rng.uniform(0.0, np.deg2rad(4.0))))
+    aside = make_transform(translation=np.append(rng.uniform(-0.01, 0.01, size=2), 0.0))
+    nominal = default_pose(workspace, distance)
+    # Tilted about the bin's middle, so that all of it stays in the image.
+    return workspace.T_world_bin @ aside @ tilt @ invert_transform(workspace.T_world_bin) @ nominal
+
+
+def scene_path(folder: Path, index: int) -> Path:
+    """Return where scene ``index`` is kept."""
+    return folder / f"scene_{index:05d}.npz"
+
+
+def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int = 1) -> Iterator[int]:
+    """Write scenes 0 to ``count - 1`` and yield each index as it is there; whole ones are not made again.
+
+    Raises:
+        ValueError: The folder holds scenes of another configuration, there is no such part, or nothing is asked for.
+        FileNotFoundError: The part's file does not exist.
+        WorkerError: A process was killed; every finished scene is kept.
+    """
+    if count < 1 or workers < 1:
+        raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
+    load_part(config.part, unit=config.unit)  # a part that cannot be loaded must not claim the folder
+    claim_folder(config, folder)
+    missing = []
+    for index in range(count):
+        if _is_whole(scene_path(folder, index)):
+            yield index
+        else:
+            missing.append(index)
+    yield from map_indices(partial(_write_scene, config, folder), missing, workers)
+
+
+def claim_folder(config: SceneConfig, folder: Path) -> None:
+    """Note the configuration in the folder, or compare with the one that is noted there; see `claim`."""
+    claim(folder / SCENES_NOTE, scene_note(config), "scenes")
+
+
+def scene_note(config: SceneConfig) -> dict[str, Any]:
+    """Return what scenes depend on as plain values, a mesh file's content included."""
+    values: dict[str, Any] = json.loads(json_text(asdict(config)))
+    if config.part not in CATALOGUE:
+        values["file"] = hashlib.sha256(Path(config.part).read_bytes()).hexdigest()
+    return values
+
+
+def _is_whole(path: Path) -> bool:
+    if not path.exists():
+        return False
+    try:
+        BoundaryScene.load(path)
+    except SceneError as error:
+        _log.warning("made again: %s", error)
+        return False
+    return True
+
+
+def _write_scene(config: SceneConfig, folder: Path, index: int) -> int:
+    make_scene(config, index).scene.save(scene_path(folder, index))
+    return index

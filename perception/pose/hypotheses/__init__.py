@@ -1,0 +1,1 @@
+"""Pose hypotheses: voting over point pair features."""

@@ -1,0 +1,1 @@
+"""A part's models: edges, pair features, surface, near-symmetries."""

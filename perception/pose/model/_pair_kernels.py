@@ -1,0 +1,129 @@
+"""Compiled kernels of point pair features: arrays in, arrays out, no threads and no fast maths.
+
+Angles round a tangent are whole numbers: a turn is 2**8 units for the table.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from perception.geometry import Floats
+
+Ints = NDArray[np.int64]
+Votes = NDArray[np.int32]
+
+
+class FeatureGrid(NamedTuple):
+    """Cells of the pair feature in absolute units: lengths [m], angles [rad], and the number of cells per axis.
+
+    ``folded``: tangents are turned towards d, so that their inclinations to it end at a right angle. ``flips``: the
+    table keeps the sign that the reference's tangent needed, else 0; it takes folded features.
+    """
+
+    distance_step: float
+    angle_step: float
+    distance_noise: float
+    angle_noise: float
+    nearest: float
+    collinear: float
+    distances: int
+    inclinations: int
+    half_turns: int
+    folded: bool
+    flips: bool
+
+
+@njit(cache=True, nogil=True)
+def tangent_frames(tangents: Floats) -> Floats:
+    """Return (N, 3, 3) rotations that map each unit tangent to x; the turn about x is arbitrary but fixed."""
+    frames = np.empty((len(tangents), 3, 3))
+    for n in range(len(tangents)):
+        t = tangents[n]
+        k = np.argmin(np.abs(t))
+        a, b = (k + 1) % 3, (k + 2) % 3
+        length = math.sqrt(t[a] * t[a] + t[b] * t[b])
+        frames[n, 0] = t
+        frames[n, 1, k], frames[n, 1, a], frames[n, 1, b] = 0.0, t[b] / length, -t[a] / length
+        y = frames[n, 1]
+        frames[n, 2, 0] = t[1] * y[2] - t[2] * y[1]
+        frames[n, 2, 1] = t[2] * y[0] - t[0] * y[2]
+        frames[n, 2, 2] = t[0] * y[1] - t[1] * y[0]
+    return frames
+
+
+@njit(cache=True, nogil=True)
+def pair_feature(
+    points: Floats, tangents: Floats, frame: Floats, r: int, i: int, nearest: float, farthest: float
+) -> tuple[float, float, float, float, float]:
+    """Return (|d|, cos(t_r, d), cos(t_i, d), cos(t_r, t_i), angle of d round t_r); |d| = 0 where it is out of range."""
+    x, y, z = points[i, 0] - points[r, 0], points[i, 1] - points[r, 1], points[i, 2] - points[r, 2]
+    square = x * x + y * y + z * z
+    if square <= nearest * nearest or square >= farthest * farthest:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    length = math.sqrt(square)
+    a, b = tangents[r], tangents[i]
+    cos_r = max(-1.0, min(1.0, (a[0] * x + a[1] * y + a[2] * z) / length))
+    cos_i = max(-1.0, min(1.0, (b[0] * x + b[1] * y + b[2] * z) / length))
+    between = max(-1.0, min(1.0, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]))
+    along_y = frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z
+    along_z = frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z
+    return length, cos_r, cos_i, between, math.atan2(along_z, along_y)
+
+
+@njit(cache=True, nogil=True)
+def cell_of(value: float, density: float, count: int) -> int:
+    return min(int(value * density), count - 1)
+
+
+@njit(cache=True, nogil=True)
+def cells_of(value: float, density: float, noise: float, count: int) -> tuple[int, int]:
+    """Return the first and the last cell that ``value`` may belong to if it is wrong by up to ``noise``."""
+    return cell_of(max(value - noise, 0.0), density, count), cell_of(value + noise, density, count)
+
+
+@njit(cache=True, nogil=True)
+def model_pairs(
+    points: Floats, tangents: Floats, frames: Floats, rows: Ints, visibility: NDArray[np.uint32], grid: FeatureGrid
+) -> Ints:
+    """Return one number per admissible ordered pair: ``cell << 32 | row << 9 | sign << 8 | angle``.
+
+    The angle is that of ``d`` in the reference's frame, negated where the sign bit is set (t_r.d < 0): with that the
+    turn of the part is ``a_scene - angle`` for a scene pair of positive sign and ``a_scene + angle`` otherwise,
+    whether the tangent is flipped or not. Without ``grid.flips`` no sign bit is set.
+
+    Args:
+        points: (M, 3).
+        tangents: (M, 3) unit.
+        frames: (M, 3, 3) to which each reference's pairs are turned.
+        rows: (M,) accumulator row of each reference.
+        visibility: (M,) bit masks; pairs without a common bit are left out.
+        grid: Cells.
+    """
+    out = np.empty(len(points) * len(points), np.int64)
+    count = 0
+    farthest = grid.distances * grid.distance_step
+    straight = math.cos(grid.collinear)
+    per_metre, per_radian = 1.0 / grid.distance_step, 1.0 / grid.angle_step
+    for r in range(len(points)):
+        for i in range(len(points)):
+            if visibility[r] & visibility[i] == 0:
+                continue
+            length, cos_r, cos_i, between, turn = pair_feature(
+                points, tangents, frames[r], r, i, grid.nearest, farthest
+            )
+            if length == 0.0 or abs(cos_r) > straight:
+                continue
+            f1 = cell_of(length, per_metre, grid.distances)
+            f2 = cell_of(math.acos(abs(cos_r) if grid.folded else cos_r), per_radian, grid.inclinations)
+            f3 = cell_of(math.acos(abs(cos_i) if grid.folded else cos_i), per_radian, grid.inclinations)
+            opposed = grid.folded and (cos_r < 0) != (cos_i < 0)
+            f4 = cell_of(math.acos(-between if opposed else between), per_radian, grid.half_turns)
+            sign = 1 if grid.flips and cos_r < 0 else 0
+            angle = math.floor((-turn if sign else turn) * (256 / (2 * math.pi))) & 255
+            cell = ((f1 * grid.inclinations + f2) * grid.inclinations + f3) * grid.half_turns + f4
+            out[count] = (cell << 32) | (rows[r] << 9) | (sign << 8) | angle
+            count += 1
+    return out[:count]

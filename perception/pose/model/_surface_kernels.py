@@ -1,0 +1,51 @@
+"""Compiled kernels of the surface model: arrays in, arrays out, no threads and no fast maths."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from perception.geometry import NEAR, Floats
+from perception.pose._transform_kernels import apply, rotate
+
+WIDEST_GRID = 1024  # cells; a pose right before the camera must not ask for more
+
+
+@njit(cache=True, nogil=True)
+def visible_samples(T: Floats, points: Floats, normals: Floats, min_cosine: float, spacing: float) -> NDArray[np.bool_]:
+    """Return (M,) whether a surface sample faces the camera and no other sample hides it.
+
+    Samples ``spacing`` [m] apart are sorted into cells half as wide again of ``(x / z, y / z)``. One is hidden if the
+    nearest that faces the camera in its cell lies further in front of it than its own surface reaches in a cell.
+    """
+    posed = np.empty((len(points), 3))  # u, v, z
+    cosine = np.full(len(points), -1.0)
+    low, high, depth, count = np.full(2, np.inf), np.full(2, -np.inf), 0.0, 0
+    for m in range(len(points)):
+        x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
+        if z <= NEAR:
+            continue
+        a, b, c = rotate(T, normals[m, 0], normals[m, 1], normals[m, 2])
+        posed[m, 0], posed[m, 1], posed[m, 2] = x / z, y / z, z
+        cosine[m] = -(a * x + b * y + c * z) / np.sqrt(x * x + y * y + z * z)
+        if cosine[m] > 0:
+            depth += z
+            count += 1
+            for i in range(2):
+                low[i], high[i] = min(low[i], posed[m, i]), max(high[i], posed[m, i])
+    out = np.zeros(len(points), np.bool_)
+    if count == 0:
+        return out
+    cell = max(1.5 * spacing * count / depth, max(high[0] - low[0], high[1] - low[1]) / WIDEST_GRID)
+    shape = (int((high[1] - low[1]) / cell) + 1, int((high[0] - low[0]) / cell) + 1)
+    nearest = np.full(shape, np.inf)
+    for m in range(len(points)):
+        if cosine[m] > 0:
+            r, c = int((posed[m, 1] - low[1]) / cell), int((posed[m, 0] - low[0]) / cell)
+            nearest[r, c] = min(nearest[r, c], posed[m, 2])
+    for m in range(len(points)):
+        if cosine[m] >= min_cosine and cosine[m] > 0:
+            r, c = int((posed[m, 1] - low[1]) / cell), int((posed[m, 0] - low[0]) / cell)
+            slope = np.sqrt(max(1.0 - cosine[m] ** 2, 0.0)) / cosine[m]
+            reach = 1.5 * cell * posed[m, 2] * slope + spacing
+            out[m] = posed[m, 2] <= nearest[r, c] + reach
+    return out

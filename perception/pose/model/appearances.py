@@ -1,0 +1,168 @@
+"""What the edges of a part look like from all round: one set of edge points for each of some hundreds of directions.
+
+The few views of an :class:`~perception.pose.model.edge_models.EdgeModel` say which edges may vote together; to judge or
+to refine a pose they are too coarse, since between two of them curved silhouettes wander and edges come and go. Here no
+direction is farther than about 5 deg from one that was computed.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from perception.geometry import Floats, require_shape
+from perception.part import PartModel
+from perception.pose.model._pair_kernels import tangent_frames
+from perception.pose.model.edge_models import EdgeModelConfig, edges_by_view, edges_key
+from perception.pose.model.thinning import thin_points
+from perception.runtime.cache import Arrays, cached_arrays
+
+_VERSION = 2  # of what is stored: raise it whenever the same part and settings give other points
+SUBDIVISIONS = 3  # of the icosahedron: 642 directions
+_CELL = 0.01  # of d_max: pixel of the drawing in which a view's edges are counted; parallel ones merge as in an image
+
+
+class SeenEdges(Protocol):
+    """Anything that knows a part's edges by direction of view."""
+
+    @property
+    def centre(self) -> Floats:
+        """(3,) the part's centre, part frame [m]."""
+        ...
+
+    @property
+    def d_max(self) -> float:
+        """The part's diameter [m]."""
+        ...
+
+    def seen_from(self, direction_part: Floats) -> tuple[Floats, Floats]:
+        """Return (S, 3) edge points [m] and (S, 3) unit tangents, part frame, seen from a (3,) direction."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EdgeAppearances:
+    """Edge points by view; those of view v are ``starts[v]`` up to ``starts[v + 1]``.
+
+    Attributes:
+        views: (V, 3) float64 unit directions from the centre to the camera, part frame.
+        starts: (V + 1,) int64.
+        lengths: (V,) of each view's edges as they are drawn in the image, at the part's distance [m].
+        points: (E, 3) float64 on the mesh, part frame [m].
+        tangents: (E, 3) float64 unit direction of the edge, sign arbitrary.
+        centre: (3,) the part's centre, part frame [m].
+        d_max: Largest distance between two vertices of the part [m].
+    """
+
+    views: Floats
+    starts: NDArray[np.int64]
+    lengths: Floats
+    points: Floats
+    tangents: Floats
+    centre: Floats
+    d_max: float
+
+    def __post_init__(self) -> None:
+        require_shape("views", self.views, (None, 3))
+        require_shape("starts", self.starts, (len(self.views) + 1,))
+        require_shape("lengths", self.lengths, (len(self.views),))
+        require_shape("points", self.points, (None, 3))
+        require_shape("tangents", self.tangents, (len(self.points), 3))
+        if len(self.views) == 0 or self.starts[0] != 0 or self.starts[-1] != len(self.points):
+            raise ValueError(f"starts must run from 0 to {len(self.points)} over at least one view")
+
+    def seen_from(self, direction_part: Floats) -> tuple[Floats, Floats]:
+        """Return (S, 3) points and (S, 3) tangents of the view nearest to a (3,) direction towards the camera."""
+        view = int(np.argmax(self.views @ direction_part))
+        seen = slice(self.starts[view], self.starts[view + 1])
+        return self.points[seen], self.tangents[seen]
+
+    def every(self, step: int) -> "EdgeAppearances":
+        """Return the same views with every ``step``-th of their points.
+
+        Raises:
+            ValueError: ``step`` is not positive.
+        """
+        if step < 1:
+            raise ValueError(f"step must be at least 1, got {step}")
+        kept = [np.arange(first, last, step) for first, last in pairwise(self.starts.tolist())]
+        chosen = np.concatenate(kept).astype(np.int64)
+        starts = np.cumsum([0, *(len(k) for k in kept)])
+        return replace(self, starts=starts, points=self.points[chosen], tangents=self.tangents[chosen])
+
+    def expected_points(self, K: Floats, depth: float) -> int:
+        """Return P of the paper: the boundary pixels of the part's largest view at ``depth`` [m], seen by camera K.
+
+        Raises:
+            ValueError: ``depth`` is not positive.
+        """
+        if not 0 < depth < np.inf:
+            raise ValueError(f"depth must be positive, got {depth}")
+        return round(float(self.lengths.max()) * float(K[0, 0]) / depth)
+
+
+def edge_appearances(
+    part: PartModel, config: EdgeModelConfig | None = None, subdivisions: int = SUBDIVISIONS
+) -> EdgeAppearances:
+    """Return a part's edges from all round.
+
+    Args:
+        part: Its mesh must enclose a volume.
+        config: What an edge is; its number of views does not matter.
+        subdivisions: Of an icosahedron whose corners are the directions: 2 for 162, 3 for 642.
+
+    Raises:
+        ValueError: If the mesh is empty, open or turned inside out.
+
+    Note:
+        Deterministic. Kept in the cache folder; the first call takes some seconds.
+    """
+    config = config or EdgeModelConfig()
+    key = edges_key(part, config, _VERSION) + f"-{subdivisions}"
+    arrays = cached_arrays("appearances", key, lambda: _compute(part, config, subdivisions))
+    return EdgeAppearances(
+        views=arrays["views"],
+        starts=arrays["starts"],
+        lengths=arrays["lengths"],
+        points=arrays["points"],
+        tangents=arrays["tangents"],
+        centre=np.asarray(part.centre, dtype=np.float64),
+        d_max=part.d_max,
+    )
+
+
+def _compute(part: PartModel, config: EdgeModelConfig, subdivisions: int) -> Arrays:
+    views = np.asarray(trimesh.creation.icosphere(subdivisions).vertices, dtype=np.float64)
+    views = views / np.linalg.norm(views, axis=1, keepdims=True)
+    radius = config.thinning * part.d_max
+    points, tangents, lengths = [], [], []
+    for direction, (_, seen, along) in zip(views, edges_by_view(part, views, config), strict=True):
+        lengths.append(_drawn_length(seen, along, direction, _CELL * part.d_max))
+        kept = thin_points(seen, along, radius, config.thinning_angle)
+        points.append(seen[kept])
+        tangents.append(along[kept])
+    return {
+        "views": views,
+        "starts": np.cumsum([0, *(len(p) for p in points)]),
+        "lengths": np.array(lengths),
+        "points": np.concatenate(points),
+        "tangents": np.concatenate(tangents),
+    }
+
+
+def _drawn_length(points: Floats, tangents: Floats, direction: Floats, cell: float) -> float:
+    """Return the pixels that (S, 3) edge points take as 8-connected lines, times their side ``cell`` [m]."""
+    across = tangent_frames(direction[None])[0, 1:]
+    places, slopes = points @ across.T / cell, tangents @ across.T
+    # A line has one pixel in each column, or in each row if it is steep: the one it passes the column's middle in.
+    rows = np.arange(len(points))
+    major = np.argmax(np.abs(slopes), axis=1)
+    pixels = np.round(places)
+    run = slopes[rows, major]
+    slope = np.divide(slopes[rows, 1 - major], run, out=np.zeros(len(rows)), where=np.abs(run) > 1e-12)
+    ahead = pixels[rows, major] - places[rows, major]
+    pixels[rows, 1 - major] = np.round(places[rows, 1 - major] + slope * ahead)
+    return cell * len(np.unique(pixels, axis=0))

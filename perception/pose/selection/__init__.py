@@ -1,0 +1,1 @@
+"""Pose selection: which of the verified poses can be true at once, and which points they explain."""

@@ -1,0 +1,125 @@
+"""The room that a part takes: no two parts share it, and none reaches through the floor or the walls of a bin."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from perception.frame import Workspace
+from perception.geometry import Floats, invert_transform, require_shape, transform_points
+from perception.part import PartModel
+from perception.pose.model.surface_model import SurfaceModel
+from perception.pose.selection._body_kernels import samples_within
+from perception.runtime.cache import Arrays, cached_arrays, digest
+
+_VERSION = 2  # of what is stored: raise it whenever the same part gives another grid
+_CELLS = 80  # of the grid along d_max
+_SAMPLES = 512  # of the surface that are asked whether they lie in another part
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyConfig:
+    """What is impossible; lengths are shares of d_max. Right poses are inexact, so a little has to be borne.
+
+    Attributes:
+        depth: A point of one part's surface this far below another's lies in it.
+        overlap: Two parts share room if more than this share of their surfaces lies in each other.
+        protrusion: A part reaches through the floor or a wall if it does so by more than this.
+    """
+
+    depth: float = 0.01
+    overlap: float = 0.005
+    protrusion: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("depth", "overlap", "protrusion"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ValueError(f"{name} must be in [0, 1), got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BodyModel:
+    """A part as a solid.
+
+    Attributes:
+        samples: (M, 3) points spread over its surface, part frame [m].
+        corners: (H, 3) of its convex hull, part frame [m].
+        inside: (X, Y, Z) float32 depth below its surface at points of a grid, negative outside [m].
+        origin: (3,) the grid's first point, part frame [m].
+        cell: Distance between neighbouring points of the grid [m].
+        middle: (3,) of a ball about the part, part frame [m].
+        radius: Of the ball [m].
+    """
+
+    samples: Floats
+    corners: Floats
+    inside: NDArray[np.float32]
+    origin: Floats
+    cell: float
+    middle: Floats
+    radius: float
+
+    def __post_init__(self) -> None:
+        require_shape("samples", self.samples, (None, 3))
+        require_shape("corners", self.corners, (None, 3))
+        require_shape("inside", self.inside, (None, None, None))
+
+    def overlap(self, T_cam_a: Floats, T_cam_b: Floats, depth: float) -> float:
+        """Return the share of two posed parts' surfaces that lies deeper than ``depth`` [m] in the other, in [0, 1]."""
+        away = (T_cam_a[:3, :3] - T_cam_b[:3, :3]) @ self.middle + T_cam_a[:3, 3] - T_cam_b[:3, 3]
+        if away @ away >= (2 * self.radius) ** 2:  # most pairs of a bin are far apart
+            return 0.0
+        T_a_b = invert_transform(T_cam_a) @ T_cam_b
+        found = samples_within(T_a_b, self.samples, self.inside, self.origin, self.cell, depth)
+        found += samples_within(invert_transform(T_a_b), self.samples, self.inside, self.origin, self.cell, depth)
+        return found / (2 * len(self.samples))
+
+    def protrusion(self, T_world_part: Floats, workspace: Workspace) -> float:
+        """Return how far a posed part reaches through the floor or, below the rim, through a wall [m]; 0 if nowhere."""
+        corners_bin = workspace.to_bin(transform_points(T_world_part, self.corners))
+        beyond = np.abs(corners_bin[:, :2]).max(axis=0, initial=0.0, where=corners_bin[:, 2:] < workspace.inner_size[2])
+        walls = float((beyond - workspace.inner_size[:2] / 2).max())
+        return max(-float(corners_bin[:, 2].min()), walls, 0.0)
+
+
+def body_model(part: PartModel, surface: SurfaceModel) -> BodyModel:
+    """Return a part's body.
+
+    Args:
+        part: Its mesh must enclose a volume.
+        surface: The same part's.
+
+    Note:
+        Deterministic. Kept in the cache folder; the first call takes a second or so.
+    """
+    mesh = part.mesh
+    key = digest(_VERSION, _CELLS, np.asarray(mesh.vertices), np.asarray(mesh.faces), part.d_max)
+    arrays = cached_arrays("body", key, lambda: _compute(part))
+    corners = np.asarray(mesh.convex_hull.vertices, np.float64)
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    spread = np.linspace(0, len(surface.points) - 1, min(_SAMPLES, len(surface.points))).round().astype(np.int64)
+    return BodyModel(
+        samples=np.ascontiguousarray(surface.points[spread]),
+        corners=corners,
+        inside=arrays["inside"],
+        origin=arrays["origin"],
+        cell=part.d_max / _CELLS,
+        middle=middle,
+        radius=float(np.linalg.norm(corners - middle, axis=1).max()),
+    )
+
+
+def _compute(part: PartModel) -> Arrays:
+    cell = part.d_max / _CELLS
+    low, high = part.mesh.bounds
+    # Half a cell off the bounds: on a flat face nobody can say whether a point lies within.
+    origin = np.asarray(low, np.float64) - 1.5 * cell
+    shape = np.ceil((high - origin) / cell).astype(np.int64) + 3
+    axes = [origin[k] + cell * np.arange(shape[k]) for k in range(3)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    within = np.asarray(part.mesh.contains(points)).reshape(shape)
+    # The surface lies half a cell from the last grid point on either side of it.
+    depth = distance_transform_edt(within) - 0.5
+    height = distance_transform_edt(~within) - 0.5
+    return {"inside": (cell * np.where(within, depth, -height)).astype(np.float32), "origin": origin}

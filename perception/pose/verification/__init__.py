@@ -1,0 +1,1 @@
+"""Refinement and verification of pose hypotheses against the frame."""

@@ -1,0 +1,136 @@
+"""Gauss-Newton on SE(3), compiled whole: a step is too short for the interpreter to be asked each time.
+
+Poses are (4, 4) ``T_cam_part``. A motion (6,) is a turn vector about the part's centre times ``arm``, and a shift [m].
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from perception.geometry import Floats
+from perception.pose._transform_kernels import Singles, apply
+from perception.pose.verification._refine_kernels import line_equations, match_edges, plane_equations
+
+MIN_MATCHES = 6  # one for each of the six freedoms
+SETTLED = 2e-3  # of d_max; the length of a last step up to which a refinement counts as converged
+
+
+@njit(cache=True, nogil=True)
+def gauss_newton_step(hessian: Floats, gradient: Floats, damping: float, observable: float) -> Floats:
+    """Return the damped step (6,) within the freedoms that the matches tell."""
+    values, vectors = np.linalg.eigh(hessian)
+    motion = np.zeros(6)
+    for k in range(6):
+        if values[k] <= max(observable, 1e-12):  # rounding alone gives a freedom that is none more than 0
+            continue
+        along = 0.0
+        for i in range(6):
+            along += vectors[i, k] * gradient[i]
+        for i in range(6):
+            motion[i] -= vectors[i, k] * along / (values[k] + damping)
+    return motion
+
+
+@njit(cache=True, nogil=True)
+def moved(T: Floats, motion: Floats, pivot: Floats, arm: float) -> Floats:
+    """Return a pose after a motion: a turn about ``pivot`` (camera frame), then a shift."""
+    a, b, c = motion[0] / arm, motion[1] / arm, motion[2] / arm
+    square = a * a + b * b + c * c
+    angle = np.sqrt(square)
+    # Rodrigues' formula; its two factors by their series where the angle is small.
+    first = 1.0 - square / 6 if angle < 1e-4 else np.sin(angle) / angle
+    second = 0.5 - square / 24 if angle < 1e-4 else (1.0 - np.cos(angle)) / square
+    cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
+    rotation = np.eye(3) + first * cross + second * (cross @ cross)
+    out = np.zeros((4, 4))
+    out[3, 3] = 1.0
+    for i in range(3):
+        out[i, 3] = pivot[i] + motion[3 + i]
+        for j in range(3):
+            out[i, 3] += rotation[i, j] * (T[j, 3] - pivot[j])
+            for k in range(3):
+                out[i, k] += rotation[i, j] * T[j, k]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def descend_edges(
+    T: Floats,
+    points: Floats,
+    tangents: Floats,
+    boundary: Floats,
+    boundary_tangents: Floats,
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    origin: Floats,
+    cell: float,
+    gate: float,
+    min_cosine: float,
+    centre: Floats,
+    d_max: float,
+    iterations: int,
+    damping: float,
+    observable: float,
+    still: float,
+) -> tuple[Floats, int, bool, float, int]:
+    """Take point-to-line steps.
+
+    Returns:
+        The pose; the number of steps; whether the last one was short; the sum of squares [m^2] and the number of the
+        matches in this pose.
+    """
+    pivot, length = np.zeros(3), np.inf
+    steps, settled = 0, False
+    while True:
+        matches = match_edges(
+            T, points, tangents, boundary, boundary_tangents, starts, shape, origin, cell, gate, min_cosine
+        )
+        pivot[0], pivot[1], pivot[2] = apply(T, centre[0], centre[1], centre[2])
+        hessian, gradient, total, count = line_equations(
+            T, points, matches, boundary, boundary_tangents, pivot, d_max / 2
+        )
+        if settled or steps == iterations or count < MIN_MATCHES:
+            break
+        motion = gauss_newton_step(hessian / count, gradient / count, damping, observable)
+        T = moved(T, motion, pivot, d_max / 2)
+        length = np.sqrt(np.sum(motion**2)) / d_max
+        steps += 1
+        settled = length < still
+    # Matches may swap for ever between two samples of one edge: a step far below the gate is no movement.
+    return T, steps, count >= MIN_MATCHES and length < SETTLED, total, count
+
+
+@njit(cache=True, nogil=True)
+def descend_surface(
+    T: Floats,
+    points: Floats,
+    normals: Floats,
+    visible: NDArray[np.bool_],
+    depth: Singles,
+    K: Floats,
+    gate: float,
+    min_cosine: float,
+    reach: int,
+    centre: Floats,
+    d_max: float,
+    iterations: int,
+    damping: float,
+    observable: float,
+    still: float,
+) -> tuple[Floats, int, bool, float, int]:
+    """Take point-to-plane steps; returns are those of :func:`descend_edges`."""
+    pivot, length = np.zeros(3), np.inf
+    steps, settled = 0, False
+    while True:
+        pivot[0], pivot[1], pivot[2] = apply(T, centre[0], centre[1], centre[2])
+        hessian, gradient, total, count = plane_equations(
+            T, points, normals, visible, depth, K, gate, min_cosine, reach, pivot, d_max / 2
+        )
+        if settled or steps == iterations or count < MIN_MATCHES:
+            break
+        motion = gauss_newton_step(hessian / count, gradient / count, damping, observable)
+        T = moved(T, motion, pivot, d_max / 2)
+        length = np.sqrt(np.sum(motion**2)) / d_max
+        steps += 1
+        settled = length < still
+    return T, steps, count >= MIN_MATCHES and length < SETTLED, total, count

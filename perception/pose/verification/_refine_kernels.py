@@ -1,0 +1,217 @@
+"""Compiled kernels of refinement and verification: arrays in, arrays out, no threads and no fast maths.
+
+Images are (H, W), indexed [v, u]; depth is 0 where there is no measurement. Poses are (4, 4) ``T_cam_part``; M model
+points are in the part frame and N boundary points in the camera's. A normal equation is that of a motion (turn, shift)
+of six lengths [m]: a turn vector about ``centre`` times ``arm``, and a shift.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from perception.geometry import NEAR, Floats
+from perception.pose._transform_kernels import Ints, Singles, apply, rotate
+
+
+@njit(cache=True, nogil=True)
+def match_edges(
+    T: Floats,
+    points: Floats,
+    tangents: Floats,
+    boundary: Floats,
+    boundary_tangents: Floats,
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    origin: Floats,
+    cell: float,
+    gate: float,
+    min_cosine: float,
+) -> Ints:
+    """Return (M,) index of the nearest boundary point of like tangent within ``gate`` of each posed point, or -1.
+
+    The boundary points are sorted by the cell of ``(x / z, y / z)`` they fall in; those of cell (r, c) are
+    ``starts[r * columns + c]`` up to the next one's start. The first in this order decides a tie.
+    """
+    rows, columns = shape
+    out = np.full(len(points), -1, np.int64)
+    for m in range(len(points)):
+        x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
+        a, b, c = rotate(T, tangents[m, 0], tangents[m, 1], tangents[m, 2])
+        if z <= NEAR + gate:
+            continue
+        # The ball of radius gate, seen from the camera, lies inside this rectangle.
+        u, v = x / z, y / z
+        half_u, half_v = gate * (1.0 + abs(u)) / (z - gate), gate * (1.0 + abs(v)) / (z - gate)
+        left = max(np.floor((u - half_u - origin[0]) / cell), 0.0)
+        right = min(np.floor((u + half_u - origin[0]) / cell), columns - 1.0)
+        top = max(np.floor((v - half_v - origin[1]) / cell), 0.0)
+        bottom = min(np.floor((v + half_v - origin[1]) / cell), rows - 1.0)
+        if left > right or top > bottom:
+            continue
+        nearest = gate * gate
+        for row in range(int(top), int(bottom) + 1):
+            for k in range(starts[row * columns + int(left)], starts[row * columns + int(right) + 1]):
+                square = (boundary[k, 0] - x) ** 2 + (boundary[k, 1] - y) ** 2 + (boundary[k, 2] - z) ** 2
+                if square > nearest or (square == nearest and out[m] >= 0):
+                    continue
+                along = a * boundary_tangents[k, 0] + b * boundary_tangents[k, 1] + c * boundary_tangents[k, 2]
+                if abs(along) >= min_cosine:
+                    nearest = square
+                    out[m] = k
+    return out
+
+
+@njit(cache=True, nogil=True)
+def line_equations(
+    T: Floats, points: Floats, matches: Ints, boundary: Floats, boundary_tangents: Floats, centre: Floats, arm: float
+) -> tuple[Floats, Floats, float, int]:
+    """Return the normal equations (6, 6), (6,) of point-to-line distances, their sum of squares, and the count.
+
+    ``e = (I - t t^T)(R p + t - q)``; a motion changes the posed point by ``turn x (p - centre) / arm + shift``.
+    """
+    hessian, gradient = np.zeros((6, 6)), np.zeros(6)
+    jacobian, residual, direction = np.zeros((3, 6)), np.zeros(3), np.zeros(3)
+    total, count = 0.0, 0
+    for m in range(len(points)):
+        k = matches[m]
+        if k < 0:
+            continue
+        x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
+        residual[0], residual[1], residual[2] = x - boundary[k, 0], y - boundary[k, 1], z - boundary[k, 2]
+        rx, ry, rz = (x - centre[0]) / arm, (y - centre[1]) / arm, (z - centre[2]) / arm
+        jacobian[:] = 0.0
+        jacobian[0, 1], jacobian[0, 2] = rz, -ry
+        jacobian[1, 0], jacobian[1, 2] = -rz, rx
+        jacobian[2, 0], jacobian[2, 1] = ry, -rx
+        for i in range(3):
+            jacobian[i, 3 + i] = 1.0
+            direction[i] = boundary_tangents[k, i]
+        along = direction[0] * residual[0] + direction[1] * residual[1] + direction[2] * residual[2]
+        for i in range(3):
+            residual[i] -= along * direction[i]
+            total += residual[i] * residual[i]
+        for j in range(6):
+            along = direction[0] * jacobian[0, j] + direction[1] * jacobian[1, j] + direction[2] * jacobian[2, j]
+            for i in range(3):
+                jacobian[i, j] -= along * direction[i]
+        for i in range(6):
+            for r in range(3):
+                gradient[i] += jacobian[r, i] * residual[r]
+                for j in range(6):
+                    hessian[i, j] += jacobian[r, i] * jacobian[r, j]
+        count += 1
+    return hessian, gradient, total, count
+
+
+@njit(cache=True, nogil=True)
+def surface_gaps(
+    T: Floats, points: Floats, normals: Floats, visible: NDArray[np.bool_], depth: Singles, K: Floats, radius: int
+) -> Floats:
+    """Return (M,) signed distances [m] of what was measured behind (+) or before (-) the samples' tangent planes.
+
+    Of the measured points in a window of ``radius`` pixels about a sample the one nearest to its plane counts: an
+    outline may be a pixel off. NaN where a sample is not visible, outside the image, or nothing was measured.
+    """
+    height, width = depth.shape
+    out = np.full(len(points), np.nan)
+    for m in range(len(points)):
+        if not visible[m]:
+            continue
+        x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
+        a, b, c = rotate(T, normals[m, 0], normals[m, 1], normals[m, 2])
+        u0, v0 = K[0, 0] * x / z + K[0, 2] + 0.5, K[1, 1] * y / z + K[1, 2] + 0.5
+        if not (0 <= u0 < width and 0 <= v0 < height):
+            continue
+        top, bottom = max(int(v0) - radius, 0), min(int(v0) + radius, height - 1)
+        left, right = max(int(u0) - radius, 0), min(int(u0) + radius, width - 1)
+        best = np.inf
+        for v in range(top, bottom + 1):
+            for u in range(left, right + 1):
+                zq = float(depth[v, u])
+                if zq <= 0.0:
+                    continue
+                xq, yq = zq * (u - K[0, 2]) / K[0, 0], zq * (v - K[1, 2]) / K[1, 1]
+                gap = a * (x - xq) + b * (y - yq) + c * (z - zq)
+                if abs(gap) < abs(best):
+                    best = gap
+        if best < np.inf:
+            out[m] = best
+    return out
+
+
+@njit(cache=True, nogil=True)
+def measured_normal(depth: Singles, K: Floats, u: int, v: int, reach: int) -> tuple[float, float, float]:
+    """Return the normal (towards the camera) of the organised cloud at a pixel by central differences.
+
+    It is (0, 0, 0) where one of the four pixels ``reach`` away is outside the image or without depth.
+    """
+    height, width = depth.shape
+    if u < reach or v < reach or u >= width - reach or v >= height - reach:
+        return 0.0, 0.0, 0.0
+    west, east = float(depth[v, u - reach]), float(depth[v, u + reach])
+    north, south = float(depth[v - reach, u]), float(depth[v + reach, u])
+    if west <= 0 or east <= 0 or north <= 0 or south <= 0:
+        return 0.0, 0.0, 0.0
+    x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
+    du, dv = reach / K[0, 0], reach / K[1, 1]
+    ax, ay, az = east * (x + du) - west * (x - du), (east - west) * y, east - west
+    bx, by, bz = (south - north) * x, south * (y + dv) - north * (y - dv), south - north
+    nx, ny, nz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    return nx / length, ny / length, nz / length
+
+
+@njit(cache=True, nogil=True)
+def plane_equations(
+    T: Floats,
+    points: Floats,
+    normals: Floats,
+    visible: NDArray[np.bool_],
+    depth: Singles,
+    K: Floats,
+    gate: float,
+    min_cosine: float,
+    reach: int,
+    centre: Floats,
+    arm: float,
+) -> tuple[Floats, Floats, float, int]:
+    """Return the normal equations (6, 6), (6,) of point-to-plane distances, their sum of squares, and the count.
+
+    A sample meets the measured point of the pixel it projects to, if their normals agree and the distance along the
+    sample's own normal is under ``gate``; Tukey's weight ``(1 - (e / gate)^2)^2`` lets far ones count less.
+    """
+    height, width = depth.shape
+    hessian, gradient, row = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    total, count = 0.0, 0
+    for m in range(len(points)):
+        if not visible[m]:
+            continue
+        x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
+        if z <= NEAR:
+            continue
+        uf, vf = K[0, 0] * x / z + K[0, 2] + 0.5, K[1, 1] * y / z + K[1, 2] + 0.5
+        if not (0 <= uf < width and 0 <= vf < height):
+            continue
+        u, v = int(uf), int(vf)
+        zq = float(depth[v, u])
+        if zq <= 0.0:
+            continue
+        a, b, c = rotate(T, normals[m, 0], normals[m, 1], normals[m, 2])
+        xq, yq = zq * (u - K[0, 2]) / K[0, 0], zq * (v - K[1, 2]) / K[1, 1]
+        residual = a * (x - xq) + b * (y - yq) + c * (z - zq)
+        if abs(residual) >= gate:
+            continue
+        nx, ny, nz = measured_normal(depth, K, u, v, reach)
+        if a * nx + b * ny + c * nz < min_cosine:
+            continue
+        rx, ry, rz = (x - centre[0]) / arm, (y - centre[1]) / arm, (z - centre[2]) / arm
+        row[0], row[1], row[2] = ry * c - rz * b, rz * a - rx * c, rx * b - ry * a
+        row[3], row[4], row[5] = a, b, c
+        weight = (1.0 - (residual / gate) ** 2) ** 2
+        for i in range(6):
+            gradient[i] += weight * row[i] * residual
+            for j in range(6):
+                hessian[i, j] += weight * row[i] * row[j]
+        total += residual * residual
+        count += 1
+    return hessian, gradient, total, count

@@ -1,0 +1,93 @@
+"""Compiled kernels of verification: arrays in, arrays out, no threads and no fast maths.
+
+Images are (H, W), indexed [v, u]; depth is 0 where there is no measurement. Poses are (4, 4) ``T_cam_part``.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from perception.geometry import NEAR, Floats
+from perception.pose._transform_kernels import Ints, Singles, apply, rotate
+
+
+@njit(cache=True, nogil=True)
+def hidden_points(
+    T: Floats, points: Floats, matches: Ints, depth: Singles, K: Floats, tolerance: float, radius: int
+) -> NDArray[np.bool_]:
+    """Return (M,) whether nothing can be said of an unmatched model point: it is hidden, or nothing was measured.
+
+    Hidden is what lies more than ``tolerance`` [m] behind all that was measured in a window of ``radius`` pixels.
+    """
+    height, width = depth.shape
+    out = np.zeros(len(points), np.bool_)
+    for m in range(len(points)):
+        if matches[m] >= 0:
+            continue
+        x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
+        out[m] = True
+        if z <= NEAR:
+            continue
+        u, v = K[0, 0] * x / z + K[0, 2] + 0.5, K[1, 1] * y / z + K[1, 2] + 0.5
+        if not (0 <= u < width and 0 <= v < height):
+            continue
+        farthest = 0.0
+        for row in range(max(int(v) - radius, 0), min(int(v) + radius, height - 1) + 1):
+            for column in range(max(int(u) - radius, 0), min(int(u) + radius, width - 1) + 1):
+                farthest = max(farthest, float(depth[row, column]))
+        out[m] = farthest < z - tolerance
+    return out
+
+
+@njit(cache=True, nogil=True)
+def explained_points(
+    T: Floats,
+    points: Floats,
+    tangents: Floats,
+    boundary: Floats,
+    boundary_tangents: Floats,
+    gate: float,
+    min_cosine: float,
+) -> NDArray[np.bool_]:
+    """Return (N,) whether each boundary point has a posed model point of like tangent within ``gate`` [m]."""
+    posed = np.empty((len(points), 6))
+    for m in range(len(points)):
+        posed[m, 0], posed[m, 1], posed[m, 2] = apply(T, points[m, 0], points[m, 1], points[m, 2])
+        posed[m, 3], posed[m, 4], posed[m, 5] = rotate(T, tangents[m, 0], tangents[m, 1], tangents[m, 2])
+    out = np.zeros(len(boundary), np.bool_)
+    for n in range(len(boundary)):
+        x, y, z = boundary[n, 0], boundary[n, 1], boundary[n, 2]
+        a, b, c = boundary_tangents[n, 0], boundary_tangents[n, 1], boundary_tangents[n, 2]
+        for m in range(len(posed)):
+            square = (posed[m, 0] - x) ** 2 + (posed[m, 1] - y) ** 2 + (posed[m, 2] - z) ** 2
+            if square <= gate * gate and abs(posed[m, 3] * a + posed[m, 4] * b + posed[m, 5] * c) >= min_cosine:
+                out[n] = True
+                break
+    return out
+
+
+@njit(cache=True, nogil=True)
+def near_points(T: Floats, points: Floats, visible: NDArray[np.bool_], boundary: Floats, gate: float) -> Ints:
+    """Return the ascending indices of the boundary points within ``gate`` [m] of a visible posed surface sample."""
+    posed = np.empty((len(points), 3))
+    count = 0
+    for m in range(len(points)):
+        if visible[m]:
+            posed[count, 0], posed[count, 1], posed[count, 2] = apply(T, points[m, 0], points[m, 1], points[m, 2])
+            count += 1
+    out = np.empty(len(boundary), np.int64)
+    found = 0
+    if count == 0:
+        return out[:0]
+    low = [posed[:count, k].min() - gate for k in range(3)]
+    high = [posed[:count, k].max() + gate for k in range(3)]
+    for n in range(len(boundary)):
+        x, y, z = boundary[n, 0], boundary[n, 1], boundary[n, 2]
+        if x < low[0] or x > high[0] or y < low[1] or y > high[1] or z < low[2] or z > high[2]:
+            continue
+        for m in range(count):
+            if (posed[m, 0] - x) ** 2 + (posed[m, 1] - y) ** 2 + (posed[m, 2] - z) ** 2 <= gate * gate:
+                out[found] = n
+                found += 1
+                break
+    return out[:found]

@@ -1,0 +1,1 @@
+"""What the library does beside its mathematics: caches, files, provenance, threads."""

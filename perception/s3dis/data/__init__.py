@@ -1,0 +1,1 @@
+"""The rooms of S3DIS: raw files, prepared rooms, blocks, batches."""

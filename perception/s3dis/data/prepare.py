@@ -1,0 +1,113 @@
+"""From the raw tree to compact rooms: one file each, whole or absent."""
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from perception.runtime.files import write_atomically
+from perception.s3dis.data.categories import CATEGORIES
+from perception.s3dis.data.raw_tree import RawRoom
+from perception.s3dis.data.record import recorded
+from perception.s3dis.data.room import ROOM_VERSION, ROOMS_NOTE, Room, RoomError, room_path
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedRoom:
+    """What became of a room.
+
+    Attributes:
+        name: "Area_5/office_1".
+        points: Of the room.
+        objects: By category.
+        remarks: What was odd about its files.
+        new: It was read now; a whole one was there otherwise.
+    """
+
+    name: str
+    points: int
+    objects: dict[str, int]
+    remarks: tuple[str, ...]
+    new: bool
+
+
+Work = Callable[[int], PreparedRoom]
+Run = Callable[[Work, Sequence[int]], Iterator[PreparedRoom]]  # maps over indices, in any order, in any process
+
+
+def prepare_rooms(rooms: Sequence[RawRoom], out: Path, run: Run = map) -> Iterator[PreparedRoom]:
+    """Write each room to ``out`` and yield what became of it; at the end, write the folder's note.
+
+    A file that is whole and was read of the same members is kept, any other one is made again.
+
+    Args:
+        rooms: Of the raw tree.
+        out: Folder of the rooms.
+        run: How to go over them; the largest comes first, so that none is waited for at the end.
+
+    Raises:
+        RawDataError: A member is malformed; rooms that are finished stay.
+    """
+    order = sorted(range(len(rooms)), key=lambda k: -sum(rooms[k].sizes))
+    done = []
+    for prepared in run(partial(_prepare, tuple(rooms), out), order):
+        done.append(prepared)
+        yield prepared
+    done.sort(key=lambda prepared: prepared.name)
+    write_atomically(out / ROOMS_NOTE, recorded(_note(rooms, done)))
+
+
+def summary(done: Sequence[PreparedRoom]) -> dict[str, Any]:
+    """Return numbers of rooms, of new ones among them and of points, and all remarks."""
+    return {
+        "rooms": len(done),
+        "new": sum(room.new for room in done),
+        "points": sum(room.points for room in done),
+        "remarks": [remark for room in done for remark in room.remarks],
+    }
+
+
+def _prepare(rooms: Sequence[RawRoom], out: Path, index: int) -> PreparedRoom:
+    raw = rooms[index]
+    path = room_path(out, raw.name)
+    room = _whole(path, raw.digest())
+    new = room is None
+    if room is None:
+        room = raw.read()
+        room.save(path)
+    categories = room.category_of_instance()[np.unique(room.instance)]
+    numbers = np.bincount(categories, minlength=len(CATEGORIES)).tolist()
+    return PreparedRoom(
+        name=room.name,
+        points=len(room),
+        objects={name: number for name, number in zip(CATEGORIES, numbers, strict=True) if number},
+        remarks=room.remarks,
+        new=new,
+    )
+
+
+def _whole(path: Path, source: str) -> Room | None:
+    if not path.exists():
+        return None
+    try:
+        room = Room.load(path)
+    except RoomError as error:
+        _log.warning("made again: %s", error)
+        return None
+    return room if room.source == source else None
+
+
+def _note(rooms: Sequence[RawRoom], done: Sequence[PreparedRoom]) -> dict[str, Any]:
+    return {
+        "version": ROOM_VERSION,
+        "raw": str(rooms[0].root.resolve()) if rooms else "",
+        "categories": CATEGORIES,
+        "rooms": {p.name: {"points": p.points, "objects": p.objects} for p in done},
+        "remarks": [remark for p in done for remark in p.remarks],
+    }

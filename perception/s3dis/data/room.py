@@ -1,0 +1,160 @@
+"""A labelled room, and its file."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.geometry import Floats, require_shape
+from perception.runtime.files import replace_atomically
+from perception.s3dis.data.categories import CATEGORIES
+
+ROOM_VERSION = 1  # raise it when a field changes its meaning
+ROOMS_NOTE = "rooms.json"  # where the rooms of a folder come from, beside them
+_NAME = re.compile(r"Area_(\d+)/[^/]+")
+
+
+class RoomError(ValueError):
+    """A file does not hold a whole room of this version."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Room:
+    """The points of a room of S3DIS and the truth about them.
+
+    Attributes:
+        name: "Area_5/office_1".
+        xyz: (N, 3) float32 building frame, z up [m].
+        rgb: (N, 3) uint8.
+        semantic: (N,) uint8 index into ``CATEGORIES``.
+        instance: (N,) int32 object of each point, 0 to P - 1: the raw tree leaves no point without.
+        source: Digest of the files that the room was read of.
+        remarks: What was odd about them.
+    """
+
+    name: str
+    xyz: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+    semantic: NDArray[np.uint8]
+    instance: NDArray[np.int32]
+    source: str = ""
+    remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(f"name must be Area_NUMBER/ROOM, got {self.name!r}")
+        require_shape("xyz", self.xyz, (None, 3))
+        require_shape("rgb", self.rgb, (len(self.xyz), 3))
+        for name, dtype in (("semantic", np.uint8), ("instance", np.int32)):
+            array = getattr(self, name)
+            require_shape(name, array, (len(self.xyz),))
+            if array.dtype != dtype:
+                raise ValueError(f"{name} must be {np.dtype(dtype)}, got {array.dtype}")
+        if not len(self.xyz):
+            raise ValueError(f"room {self.name} has no points")
+        if self.semantic.max() >= len(CATEGORIES) or self.instance.min() < 0:
+            raise ValueError(
+                f"semantic must be below {len(CATEGORIES)} and instance not negative, "
+                f"got {self.semantic.max()} and {self.instance.min()}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    @property
+    def area(self) -> int:
+        """Return 1 to 6."""
+        return area_of(self.name)
+
+    def category_of_instance(self) -> NDArray[np.int64]:
+        """Return (P,) category of each object, that of its first point; 0 for an id that no point carries."""
+        ids, first = np.unique(self.instance, return_index=True)
+        categories = np.zeros(int(self.instance.max()) + 1, np.int64)
+        categories[ids] = self.semantic[first]
+        return categories
+
+    def save(self, path: Path) -> None:
+        """Write a file in one piece, or not at all: 20 bytes a point, not compressed."""
+        arrays: dict[str, Any] = {
+            "version": np.int64(ROOM_VERSION),
+            "name": np.str_(self.name),
+            "source": np.str_(self.source),
+            "remarks": np.array(self.remarks, np.str_),
+            "xyz": self.xyz,
+            "rgb": self.rgb,
+            "semantic": self.semantic,
+            "instance": self.instance,
+        }
+
+        def write(draft: Path) -> None:
+            with draft.open("wb") as file:
+                np.savez(file, allow_pickle=False, **arrays)
+
+        replace_atomically(path, write)
+
+    @classmethod
+    def load(cls, path: Path) -> "Room":
+        """Read a room.
+
+        Raises:
+            RoomError: The file is missing, cut off or of another version.
+        """
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+                a = {name: stored[name] for name in stored.files}
+            if int(a["version"]) != ROOM_VERSION:
+                raise RoomError(f"{path} is a room of version {a['version']}, this code reads {ROOM_VERSION}")
+            return cls(
+                name=str(a["name"]),
+                xyz=a["xyz"],
+                rgb=a["rgb"],
+                semantic=a["semantic"],
+                instance=a["instance"],
+                source=str(a["source"]),
+                remarks=tuple(a["remarks"].tolist()),
+            )
+        except RoomError:
+            raise
+        except Exception as error:  # from zipfile and NumPy's header parser a flipped bit draws nearly anything
+            raise RoomError(f"{path} holds no whole room ({error})") from error
+
+
+def area_of(name: str) -> int:
+    """Return the area's number of a room's name."""
+    found = _NAME.fullmatch(name)
+    if found is None:
+        raise ValueError(f"name must be Area_NUMBER/ROOM, got {name!r}")
+    return int(found[1])
+
+
+def room_path(folder: Path, name: str) -> Path:
+    """Return where the room of that name is kept: ``folder/Area_5/office_1.npz``."""
+    return folder / f"{name}.npz"
+
+
+def find_rooms(folder: Path, areas: Sequence[int] | None = None) -> list[Path]:
+    """Return the files of the prepared rooms of ``areas``, of all areas unless given, in order.
+
+    Raises:
+        FileNotFoundError: There are none.
+    """
+    found = sorted(folder.glob("Area_*/*.npz"))
+    wanted = [path for path in found if areas is None or path.parent.name in {f"Area_{area}" for area in areas}]
+    if not wanted:
+        which = "" if areas is None else " of area " + ", ".join(str(area) for area in areas)
+        raise FileNotFoundError(f"{folder} holds no room{which}; make some with s3dis.py prepare --out {folder}")
+    return wanted
+
+
+def mean_sizes(rooms: Iterable[Room]) -> Floats:
+    """Return (C,) mean number of points of an object, by category; 0 for a category without any."""
+    points, objects = np.zeros(len(CATEGORIES)), np.zeros(len(CATEGORIES))
+    for room in rooms:
+        points += np.bincount(room.semantic, minlength=len(CATEGORIES))
+        present = np.unique(room.instance)
+        objects += np.bincount(room.category_of_instance()[present], minlength=len(CATEGORIES))
+    return np.divide(points, objects, out=np.zeros(len(CATEGORIES)), where=objects > 0)

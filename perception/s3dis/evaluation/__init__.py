@@ -1,0 +1,1 @@
+"""What is judged on S3DIS, and the table of the results."""

@@ -1,0 +1,73 @@
+"""What is kept of a training of a row: the verdicts on every test room."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from perception.metrics.matching import SceneMatches
+from perception.runtime.files import json_text, write_atomically
+from perception.s3dis.presets import RowName
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JudgedRow:
+    """A training of a row, judged on every test room.
+
+    Attributes:
+        row: Of Table 1.
+        seed: Of the training.
+        names: Of the rooms.
+        matches: On each of them.
+    """
+
+    row: RowName
+    seed: int
+    names: tuple[str, ...]
+    matches: tuple[SceneMatches, ...]
+
+
+def save_judged(path: Path, judged: JudgedRow) -> None:
+    """Write the verdicts as JSON, in one piece."""
+    rooms = [{"name": name, **_plain(m)} for name, m in zip(judged.names, judged.matches, strict=True)]
+    write_atomically(path, json_text({"row": judged.row, "seed": judged.seed, "rooms": rooms}))
+
+
+def load_judged(path: Path) -> JudgedRow:
+    """Read the verdicts, to the bit.
+
+    Raises:
+        OSError: There is no such file.
+        ValueError, KeyError, TypeError: It is damaged.
+    """
+    plain = json.loads(path.read_text())
+    return JudgedRow(
+        row=plain["row"],
+        seed=int(plain["seed"]),
+        names=tuple(str(room["name"]) for room in plain["rooms"]),
+        matches=tuple(_matches(room) for room in plain["rooms"]),
+    )
+
+
+def _plain(matches: SceneMatches) -> dict[str, Any]:
+    return {
+        "overlaps": list(matches.overlaps),
+        "truth_counts": {str(label): count for label, count in matches.truth_counts.items()},
+        "labels": matches.labels.tolist(),
+        "overlap_idx": matches.overlap_idx.tolist(),
+        "scores": matches.scores.tolist(),
+        "correct": matches.correct.tolist(),
+    }
+
+
+def _matches(plain: dict[str, Any]) -> SceneMatches:
+    return SceneMatches(
+        overlaps=tuple(plain["overlaps"]),
+        truth_counts={int(label): int(count) for label, count in plain["truth_counts"].items()},
+        labels=np.array(plain["labels"], np.int64),
+        overlap_idx=np.array(plain["overlap_idx"], np.int64),
+        scores=np.array(plain["scores"], np.float64),
+        correct=np.array(plain["correct"], np.bool_),
+    )

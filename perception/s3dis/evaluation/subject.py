@@ -1,0 +1,70 @@
+"""What an evaluation is of: the truth, the truth cut and merged again, or a trained network; and on which rooms."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from perception.s3dis.data.categories import AREAS, TEST_AREA
+from perception.s3dis.data.room import find_rooms
+from perception.s3dis.evaluation.identities import predict_ground_truth, predict_merged_ground_truth_blocks
+from perception.s3dis.predictor import RoomPredictor
+from perception.s3dis.scoring import Population, Predict
+from perception.segmentation.weights import load_record
+
+Identity = Literal["ground_truth", "merged_ground_truth_blocks"]
+IDENTITIES: dict[Identity, Predict] = {
+    "ground_truth": predict_ground_truth,
+    "merged_ground_truth_blocks": predict_merged_ground_truth_blocks,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """What is evaluated."""
+
+    rooms: Path  # folder made by prepare
+    weights: Path | None = None  # of train: what to judge
+    predictions: Identity | None = None  # what to judge instead: what no network can do better
+    areas: tuple[int, ...] | None = None  # to evaluate on; 5 for weights, all for the truth unless given
+    threshold: float | None = None  # of a network's grouping; that of its training unless given
+    population: Population = "room"  # the room's points, each once; or those of all blocks, as SGPN's code counts
+    seed: int = 0  # of the share-out of a block's points among samples
+
+    def __post_init__(self) -> None:
+        if (self.weights is None) == (self.predictions is None):
+            raise ValueError(f"give either weights or predictions, got {self.weights} and {self.predictions}")
+
+    @property
+    def name(self) -> str:
+        """Return what the row is called."""
+        if self.weights is None:
+            return str(self.predictions)
+        return str(load_record(self.weights).get("row", self.weights.stem))
+
+    def paths(self) -> list[Path]:
+        """Return the files of the rooms.
+
+        Raises:
+            FileNotFoundError: There are none.
+        """
+        areas = self.areas or (AREAS if self.weights is None else (TEST_AREA,))
+        return find_rooms(self.rooms, areas)
+
+    def predict(self, device: str = "cpu") -> Predict:
+        """Return what predicts a room.
+
+        Raises:
+            WeightsError: The weights are missing, damaged, or not of a training on rooms.
+        """
+        if self.predictions is not None:
+            return IDENTITIES[self.predictions]
+        assert self.weights is not None
+        return RoomPredictor.from_file(self.weights, device, self.threshold)
+
+    def note(self) -> dict[str, Any]:
+        """Return what the scores are of."""
+        given = {"predictions": self.predictions, "population": self.population, "seed": self.seed}
+        if self.weights is None:
+            return given
+        record = load_record(self.weights)
+        return {**given, "weights": str(self.weights), "threshold": self.threshold, "training": record}

@@ -1,0 +1,135 @@
+"""Average precision over the twelve categories of Table 1, by the rules of ScanNet's benchmark."""
+
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from perception.instance import Instance
+from perception.metrics.average_precision import ap_summary
+from perception.metrics.matching import MIN_REGION, SceneMatches, SceneTruth, match_scene
+from perception.s3dis.data.blocks import BlockConfig, Ints, cover_room
+from perception.s3dis.data.categories import CATEGORIES, SCORED
+from perception.s3dis.data.room import Room
+
+Population = Literal["room", "blocks"]
+Predict = Callable[[Room, np.random.Generator], Sequence[Instance]]
+Run = Callable[[Callable[[int], SceneMatches], Sequence[int]], Iterator[SceneMatches]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class S3disScores:
+    """A row of Table 1, in [0, 1]; NaN where no room has an object of a category to find.
+
+    Attributes:
+        ap50: By category, the twelve.
+        mean_ap50: Their mean, of those that are known.
+        ap25: Mean at IoU .25.
+        ap: Mean over IoU .50, .55 ... .90.
+    """
+
+    ap50: dict[str, float]
+    mean_ap50: float
+    ap25: float
+    ap: float
+
+    @classmethod
+    def of(cls, matches: Sequence[SceneMatches]) -> "S3disScores":
+        """Return the scores of rooms, pooled."""
+        found = ap_summary(matches).per_class
+        known = {name: found[CATEGORIES.index(name)] for name in SCORED if CATEGORIES.index(name) in found}
+        return cls(
+            ap50={name: known[name].ap50 if name in known else np.nan for name in SCORED},
+            mean_ap50=_mean([scores.ap50 for scores in known.values()]),
+            ap25=_mean([scores.ap25 for scores in known.values()]),
+            ap=_mean([scores.ap for scores in known.values()]),
+        )
+
+
+def room_truth(room: Room) -> SceneTruth:
+    """Return the objects to find.
+
+    Note:
+        Clutter is a category as the others, so that a chair found on clutter is wrong; only the means leave it out.
+    """
+    categories = room.category_of_instance()
+    return SceneTruth(
+        instance_ids=room.instance.astype(np.int64),
+        class_of_instance=categories,
+        ignored=np.zeros(len(categories), np.bool_),
+    )
+
+
+def repeated(truth: SceneTruth, instances: Sequence[Instance], rows: Ints) -> tuple[SceneTruth, list[Instance]]:
+    """Return truth and prediction over (R,) ``rows``, which name points as often as they count."""
+    again = SceneTruth(
+        instance_ids=truth.instance_ids[rows],
+        class_of_instance=truth.class_of_instance,
+        ignored=truth.ignored,
+    )
+    inside = np.zeros(len(truth.instance_ids), np.bool_)
+    predicted = []
+    for instance in instances:
+        inside[instance.point_idx] = True
+        idx = np.flatnonzero(inside[rows])
+        predicted.append(Instance(point_idx=idx, score=instance.score, label=instance.label))
+        inside[instance.point_idx] = False
+    return again, predicted
+
+
+def room_rng(name: str, seed: int) -> np.random.Generator:
+    """Return a room's own chance, whatever rooms come before it."""
+    return np.random.default_rng(np.random.SeedSequence([seed, zlib.crc32(name.encode())]))
+
+
+def match_room(
+    predict: Predict,
+    room: Room,
+    population: Population = "room",
+    blocks: BlockConfig | None = None,
+    seed: int = 0,
+) -> SceneMatches:
+    """Judge the prediction on a room.
+
+    Args:
+        predict: Of the room and its own chance.
+        room: To predict.
+        population: The room's points, each once; or the points of the samples of all blocks, one after the other, as
+            the released code counts: a point in the middle of the room four times, in a sparse block more often.
+        blocks: Of that population.
+        seed: From which the room's chance follows, the same for prediction and population.
+
+    Raises:
+        ValueError: There is no such population.
+    """
+    if population not in ("room", "blocks"):
+        raise ValueError(f"population must be 'room' or 'blocks', got {population!r}")
+    truth, instances = room_truth(room), predict(room, room_rng(room.name, seed))
+    if population == "blocks":
+        samples = cover_room(room.xyz, blocks or BlockConfig(), room_rng(room.name, seed))
+        truth, instances = repeated(truth, instances, np.concatenate([sample.point_idx for sample in samples]))
+    return match_scene(truth, instances, min_region=MIN_REGION)
+
+
+def match_rooms(
+    predict: Predict, paths: Sequence[Path], run: Run = map, population: Population = "room", seed: int = 0
+) -> Iterator[SceneMatches]:
+    """Judge a prediction on the rooms of files; ``run`` maps over their indices, in any order and any process.
+
+    Raises:
+        RoomError: A file holds no whole room.
+    """
+    return iter(run(partial(_match_file, predict, tuple(paths), population, seed), range(len(paths))))
+
+
+def _match_file(predict: Predict, paths: Sequence[Path], population: Population, seed: int, index: int) -> SceneMatches:
+    return match_room(predict, Room.load(paths[index]), population, seed=seed)
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.mean(known)) if known else np.nan

@@ -1,0 +1,1 @@
+"""Synthetic rooms in the on-disk format of S3DIS."""

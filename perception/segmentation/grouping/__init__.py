@@ -1,0 +1,1 @@
+"""From per-point outputs to instances: grouping by similarity, GroupMerging, Euclidean components."""

@@ -1,0 +1,12 @@
+"""What networks over point sets are given."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Singles = NDArray[np.float32]
+
+
+def centred(points: NDArray[np.floating], unit: float) -> Singles:
+    """Return (N, 3) points about the middle of their box, in multiples of ``unit``."""
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return np.asarray((points - middle) / unit, np.float32)

@@ -1,0 +1,103 @@
+"""SGPN: a trunk and three heads, which say of every point where it lies among instances, how surely, and of what class.
+
+Shapes: B clouds, N points, C coordinates of a point, F dimensions of the embedding, S semantic classes.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor, nn
+
+from perception.segmentation.networks.dgcnn import DgcnnConfig, DGCNNTrunk
+from perception.segmentation.networks.distance import SQUARE_SCALE, Distance
+from perception.segmentation.networks.output import PointOutputs
+from perception.segmentation.networks.pointnet import PointNetConfig, PointNetTrunk, require_at_least_one
+
+Trunk = Literal["pointnet", "dgcnn"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SgpnConfig:
+    """The network: SGPN's with ``pointnet``, the paper's with ``dgcnn``."""
+
+    trunk: Trunk = "dgcnn"  # what turns points into features
+    in_channels: int = 3  # coordinates of a point: 3, or 9 on S3DIS
+    num_classes: int = 1  # semantic classes
+    embedding: int = 128  # dimensions of the embedding (F_SIM)
+    branch: int = 128  # width of the confidence's and the semantics' hidden layer (F_CF, F_SEM)
+    k: int = 20  # dgcnn: neighbours, the point itself included
+    global_width: int = 1024  # features of the cloud
+    graph_channels: tuple[int, ...] = (0, 1, 2)  # dgcnn: coordinates in which the first graph's neighbours are near
+    reuse_graph: bool = False  # dgcnn: keep the first graph in all layers
+
+    def __post_init__(self) -> None:
+        if self.trunk not in get_args(Trunk):
+            raise ValueError(f"trunk must be one of {get_args(Trunk)}, got {self.trunk!r}")
+        require_at_least_one(self, "num_classes", "embedding", "branch")
+        self.trunk_config()
+
+    def trunk_config(self) -> PointNetConfig | DgcnnConfig:
+        """Return the chosen trunk's sizes."""
+        if self.trunk == "pointnet":
+            return PointNetConfig(in_channels=self.in_channels, widths=(64, 64, 64, 128, self.global_width))
+        return DgcnnConfig(
+            in_channels=self.in_channels,
+            k=self.k,
+            global_width=self.global_width,
+            graph_channels=self.graph_channels,
+            reuse_graph=self.reuse_graph,
+        )
+
+
+class Sgpn(nn.Module):
+    """Similarity group proposal network.
+
+    Source: Wang et al., "SGPN", CVPR 2018, heads as in its released code: each is one layer with ReLU and without batch
+    normalisation on the trunk's features; the trunk is exchanged as in section III.A of the paper.
+    """
+
+    def __init__(self, config: SgpnConfig | None = None) -> None:
+        super().__init__()
+        self.config = config = config or SgpnConfig()
+        sizes = config.trunk_config()
+        self.trunk = PointNetTrunk(sizes) if isinstance(sizes, PointNetConfig) else DGCNNTrunk(sizes)
+        width = self.trunk.width
+        self.similarity = nn.Sequential(nn.Linear(width, config.embedding), nn.ReLU())
+        self.confidence = nn.Sequential(nn.Linear(width, config.branch), nn.ReLU(), nn.Linear(config.branch, 1))
+        self.semantics = nn.Sequential(
+            nn.Linear(width, config.branch), nn.ReLU(), nn.Linear(config.branch, config.num_classes)
+        )
+
+    def forward(self, points_BNC: Tensor) -> PointOutputs:
+        """Return what the heads say, in the points' dtype also under autocast.
+
+        Raises:
+            ValueError: The points' shape does not fit the config, or PointNet is trained with a single cloud.
+        """
+        features_BNF = self.trunk(points_BNC)
+        dtype = points_BNC.dtype
+        return PointOutputs(
+            embedding_BNF=self.similarity(features_BNF).to(dtype),
+            confidence_BN=torch.sigmoid(self.confidence(features_BNF).to(dtype)).squeeze(-1),
+            semantics_BNS=self.semantics(features_BNF).to(dtype),
+        )
+
+
+def similarity_matrix(embedding_BNF: Tensor, distance: Distance = "l2") -> Tensor:
+    """Return (..., N, N) pairwise distances S of a (..., N, F) embedding; 0 is most alike.
+
+    Args:
+        embedding_BNF: Where the points lie.
+        distance: ``l2`` is ``|df|`` (eq. (1) of the paper), ``scaled_square`` ``10 |df|^2`` (SGPN's released code).
+
+    Raises:
+        ValueError: There is no such distance.
+
+    Note: O(N^2) memory; differences are taken before squaring, so the diagonal is exactly 0. Coinciding pairs get
+    gradient 0, not NaN.
+    """
+    if distance not in get_args(Distance):
+        raise ValueError(f"distance must be one of {get_args(Distance)}, got {distance!r}")
+    lengths = torch.cdist(embedding_BNF, embedding_BNF, compute_mode="donot_use_mm_for_euclid_dist")
+    return lengths if distance == "l2" else SQUARE_SCALE * lengths.square()

@@ -1,0 +1,183 @@
+"""One training from start to end, or from where it was stopped: checkpoints, evaluations, a log, the weights."""
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from perception.metrics.average_precision import ap_summary
+from perception.runtime.files import json_text
+from perception.runtime.provenance import command_line, git_commit, versions
+from perception.segmentation.grouping.similarity import GroupingConfig
+from perception.segmentation.predictor import PredictorConfig, SegmentationPredictor
+from perception.segmentation.scene import BoundaryScene
+from perception.segmentation.scoring import score_scene
+from perception.segmentation.training.checkpoint import load_checkpoint, save_checkpoint
+from perception.segmentation.training.loop import StepRecord, Trainer
+from perception.segmentation.weights import Network, load_network, load_record, save_network
+
+CHECKPOINT = "checkpoint.safetensors"
+LOG = "log.jsonl"
+WEIGHTS = "weights.safetensors"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """What surrounds a training.
+
+    Attributes:
+        out: Folder of checkpoint, log and weights.
+        parts: Names of the parts that the network is for.
+        initial: Weights that the training starts from; None for random ones.
+        evaluate_every: Minutes of training between evaluations.
+        save_every: Minutes of training between checkpoints.
+        leader: Whether this process writes; one of several that train together does.
+        sources: What the scenes are, and what else to record; :func:`.dataset.scene_sources`.
+    """
+
+    out: Path
+    parts: tuple[str, ...]
+    initial: Path | None = None
+    evaluate_every: float = 10.0
+    save_every: float = 2.0
+    leader: bool = True
+    sources: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise ValueError("parts must name at least one part")
+        for name in ("evaluate_every", "save_every"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+
+Log = dict[str, Any]
+Judge = Callable[[Network], dict[str, float]]  # what an evaluation finds
+
+
+def resume(trainer: Trainer, config: RunConfig) -> bool:
+    """Go on from the folder's checkpoint; return whether there was one. Without, take the initial weights, if any.
+
+    Raises:
+        CheckpointError: It is damaged, or of another training.
+        WeightsError: The initial weights are missing or damaged.
+        TrainingError: They are of another network.
+    """
+    path = config.out / CHECKPOINT
+    if not path.exists():
+        if config.initial is not None:
+            trainer.start_from(load_network(config.initial))
+        return False
+    load_checkpoint(path, trainer)
+    return True
+
+
+def train(
+    trainer: Trainer,
+    validation: Sequence[Path] | Judge,
+    config: RunConfig,
+    on_step: Callable[[StepRecord], None] | None = None,
+    on_evaluation: Callable[[Log], None] | None = None,
+) -> Log:
+    """Train to the end, write the weights and return the log's last line.
+
+    Args:
+        trainer: Fresh, or resumed.
+        validation: Scene files that are not trained on, or whatever else judges a network; without, nothing does.
+        config: Where and how often.
+        on_step: Called after each step.
+        on_evaluation: Called with each line of the log.
+
+    Raises:
+        TrainingError: The training diverged; the last checkpoint stays.
+        KeyboardInterrupt: The state is saved first; within a step, that of the last checkpoint stays.
+    """
+    git_commit()  # asked for once: that of the code that trains, whatever is committed meanwhile
+    saved = evaluated = trainer.elapsed
+    losses: list[dict[str, float]] = []
+    try:
+        for record in trainer.run():
+            if not record.skipped:
+                losses.append(record.losses)
+            if on_step is not None:
+                on_step(record)
+            if trainer.elapsed - evaluated >= 60 * config.evaluate_every and config.leader:
+                evaluated = trainer.elapsed
+                _log_line(trainer, validation, config, losses, on_evaluation)
+                losses = []
+            if trainer.elapsed - saved >= 60 * config.save_every and config.leader:
+                saved = trainer.elapsed
+                save_checkpoint(config.out / CHECKPOINT, trainer)
+    except KeyboardInterrupt:
+        if config.leader and trainer.whole:
+            save_checkpoint(config.out / CHECKPOINT, trainer)
+        raise
+    if not config.leader:
+        return {}
+    save_checkpoint(config.out / CHECKPOINT, trainer)
+    line = _log_line(trainer, validation, config, losses, on_evaluation)
+    save_network(config.out / WEIGHTS, trainer.best_network(), training_record(trainer, config, line))
+    return line
+
+
+def training_record(trainer: Trainer, config: RunConfig, last: Log) -> Log:
+    """Return what stands beside the weights."""
+    return {
+        "parts": list(config.parts),
+        "training": asdict(trainer.config),
+        "steps": trainer.step,
+        "minutes": trainer.elapsed / 60,
+        "scenes": len(trainer.batches.scenes),
+        **config.sources,
+        "epochs": trainer.epoch,
+        "initial": None if config.initial is None else load_record(config.initial),
+        "validation": last.get("validation"),
+        "git_commit": git_commit(),
+        "command": command_line(),
+        "versions": versions(),
+    }
+
+
+def validate(network: Network, paths: Sequence[Path], distance: str = "l2") -> dict[str, float]:
+    """Return ap, ap50, ap75 and ms_per_scene over scene files, their parts pooled."""
+    grouping = GroupingConfig(distance="scaled_square" if distance == "scaled_square" else "l2")
+    predictor = SegmentationPredictor(network, PredictorConfig(grouping=grouping), next(network.parameters()).device)
+    matches, times = [], []
+    for path in paths:
+        scene = BoundaryScene.load(path)
+        started = time.perf_counter()
+        instances = predictor.predict(scene.boundary, scene.surface, scene.d_max)
+        times.append(time.perf_counter() - started)
+        matches.append(score_scene(scene, instances))
+    summary = ap_summary(matches)
+    return {
+        "ap": summary.ap,
+        "ap50": summary.ap50,
+        "ap75": summary.ap75,
+        "ms_per_scene": 1000 * float(np.median(times)),
+    }
+
+
+def _log_line(
+    trainer: Trainer,
+    validation: Sequence[Path] | Judge,
+    config: RunConfig,
+    losses: Sequence[dict[str, float]],
+    on_evaluation: Callable[[Log], None] | None,
+) -> Log:
+    means = {name: float(np.mean([loss[name] for loss in losses])) for name in (losses[0] if losses else ())}
+    line: Log = {"step": trainer.step, "minutes": trainer.elapsed / 60, "losses": means}
+    if callable(validation):
+        line["validation"] = validation(trainer.best_network())
+    elif validation:
+        line["validation"] = validate(trainer.best_network(), validation, trainer.config.pairs.distance)
+    config.out.mkdir(parents=True, exist_ok=True)
+    with (config.out / LOG).open("a") as file:
+        file.write(json.dumps(json.loads(json_text(line))) + "\n")
+    if on_evaluation is not None:
+        on_evaluation(line)
+    return line

@@ -1,0 +1,88 @@
+"""Our own pose estimation, timed as the peers are: in a process of its own, kept on as many cores as it may use."""
+
+import multiprocessing
+import os
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+
+import cv2
+import numpy as np
+
+from binpick_env.parts import load_part
+from perception.pose.estimator import PoseEstimate, PoseEstimator
+from policies.benchmarks.peers.worker import pin
+from policies.benchmarks.pose_peer_inputs import PoseCase, Sight
+from policies.benchmarks.pose_peers import Answers, thread_variables
+
+
+def run_ours(part: str, sights: Sequence[Sight], cases: Sequence[PoseCase], threads: int) -> Answers:
+    """Let `PoseEstimator` answer the cases in a new process.
+
+    Args:
+        part: Catalogue name or mesh file.
+        sights: What the cases are seen in.
+        cases: At least one.
+        threads: That it may use.
+
+    Raises:
+        ValueError: There is no case.
+    """
+    if not cases:
+        raise ValueError("our method needs at least one case, got none")
+    with _variables(thread_variables(threads)):
+        executor = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+        with executor:
+            return executor.submit(_answer, part, sights, cases, threads).result()
+
+
+def _answer(part: str, sights: Sequence[Sight], cases: Sequence[PoseCase], threads: int) -> Answers:
+    pin(threads)
+    cv2.setNumThreads(threads)
+    start = time.perf_counter()
+    estimator = PoseEstimator(load_part(part).model)
+    return answer(estimator, sights, cases, time.perf_counter() - start)
+
+
+def answer(estimator: PoseEstimator, sights: Sequence[Sight], cases: Sequence[PoseCase], build_s: float) -> Answers:
+    """Answer each case once, after one of each kind to warm up."""
+    for kind in (True, False):
+        for case in [case for case in cases if (case.instance is None) == kind][:1]:
+            _estimates(estimator, sights[case.sight], case)
+    found, wall, cpu = [], [], []
+    for case in cases:
+        clock = time.perf_counter(), time.process_time()
+        found.append(_estimates(estimator, sights[case.sight], case))
+        wall.append(1000 * (time.perf_counter() - clock[0]))
+        cpu.append(1000 * (time.process_time() - clock[1]))
+    return Answers(
+        version="binpick",
+        build_s=build_s,
+        ms=np.array([wall]),
+        cpu_ms=np.array([cpu]),
+        poses=[[np.reshape([e.T_cam_part for e in row], (-1, 4, 4)) for row in found]],
+        scores=[[np.array([e.score for e in row], np.float64) for row in found]],
+    )
+
+
+def _estimates(estimator: PoseEstimator, sight: Sight, case: PoseCase) -> list[PoseEstimate]:
+    if case.instance is None:
+        return estimator.estimate_scene(sight.boundary, sight.frame)[: case.top]
+    poses = estimator.estimate_groups(sight.boundary, [case.instance], sight.frame)
+    return [pose for pose in poses if pose is not None]
+
+
+@contextmanager
+def _variables(values: dict[str, str]) -> Iterator[None]:
+    """Set environment variables for processes that are started in here."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

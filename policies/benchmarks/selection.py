@@ -1,0 +1,67 @@
+"""How fast a selector can gather experience: attempts a second in full and fast, many processes at once."""
+
+import time
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from binpick_env.config import CameraConfig
+from binpick_env.jobs.process_map import map_indices
+from policies.benchmarks.measurement import Measurement
+from policies.selection.env import GraspSelectionEnv
+from policies.selection.selectors import WeightedSelector
+
+MODES: dict[str, dict[str, Any]] = {
+    "in full": {},
+    "fast": {"fast": True},
+    "fast, 640 x 480 pixels": {"fast": True, "camera": CameraConfig(width=640, height=480)},
+}
+
+
+def bench_selection(
+    part: str, seed: int, picks: int, workers: int, perception: str = "oracle"
+) -> Iterator[Measurement]:
+    """Measure attempts a second of all processes together; a row comes as soon as it is measured.
+
+    Args:
+        part: Catalogue name or mesh file.
+        seed: Of the first pile of the first process.
+        picks: Attempts that each process makes; settling new piles is part of the time, compiling is not.
+        workers: Processes, one core each; each is a sample.
+        perception: Of the cell.
+
+    Raises:
+        ValueError: There is no such part, or a number is not positive.
+    """
+    if picks < 1 or workers < 1:
+        raise ValueError(f"picks and workers must be at least 1, got {picks} and {workers}")
+    for name, changes in MODES.items():
+        arguments = {"part": part, "perception": perception, "threads": 1, **changes}
+        times = list(map_indices(partial(_seconds, arguments, seed, picks), range(workers), workers))
+        each = tuple(picks / taken for taken in times)
+        yield Measurement(name=f"attempts of a process, {name}", unit="1/s", values=each)
+        yield Measurement(name=f"attempts of {workers} processes, {name}", unit="1/s", values=(sum(each),))
+
+
+def _seconds(arguments: dict[str, Any], seed: int, picks: int, index: int) -> float:
+    """Return how long ``picks`` attempts of the weighted heuristic take [s]."""
+    env = GraspSelectionEnv(**arguments)
+    selector, rng = WeightedSelector(), np.random.default_rng(0)
+    observation, _ = env.reset(seed=seed + 1000 * index)
+    if observation["mask"].any():
+        env.step(np.int64(selector.select(observation, rng)))  # compiles kernels
+    started, made, pile = time.perf_counter(), 0, seed + 1000 * index
+    over = True
+    while made < picks:
+        if over:
+            pile += 1
+            observation, _ = env.reset(seed=pile)
+        row = selector.select(observation, rng) if observation["mask"].any() else 0
+        observation, _, terminated, truncated, _ = env.step(np.int64(row))
+        over = terminated or truncated
+        made += env.result is not None
+    taken = time.perf_counter() - started
+    env.close()
+    return taken

@@ -1,0 +1,1 @@
+"""The main job: bins picked and judged, records, statistics, summaries."""

@@ -1,0 +1,146 @@
+"""Perception's numbers over the frames that were decided on: segments, and the poses that were offered.
+
+The frames of a bin show the same parts again and again, so that intervals come from resampling whole bins.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from binpick_env.evaluation.pose.statistics import bootstrap_weights
+from perception.geometry import Floats
+from perception.metrics.average_precision import percentile_interval, weighted_ap
+from perception.metrics.intervals import wilson_interval
+from perception.metrics.matching import SceneMatches
+from policies.evaluation.frame_record import FrameRecord, SegmentTable
+from policies.evaluation.records import BinRecord
+from policies.evaluation.statistics import Interval, bootstrap_ratio
+
+APS = ("ap", "ap50", "ap75")
+RATES = ("candidate_pose_accuracy", "candidate_precision", "candidate_recall")
+AP_RESAMPLES = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class SightSummary:
+    """What perception saw while bins were picked. A number is None where there is nothing to count.
+
+    Attributes:
+        ap: By name, "ap", "ap50" and "ap75" of the groups that poses were searched in.
+        explained: The same after the poses have explained the points.
+        rates: By name of `RATES`.
+        counts: Numerator and denominator of each rate.
+        errors: Medians over the candidates that are a part's: "mm" at its centre, "deg" modulo symmetry.
+        stages: Median wall clock of perception's stages [ms].
+        intervals: 95 % of ``ap`` and ``rates``, percentile bootstrap over bins, those of rates at least as wide as
+            Wilson's; None for a single bin.
+        frames: That were decided on.
+    """
+
+    ap: dict[str, float | None]
+    explained: dict[str, float | None]
+    rates: dict[str, float | None]
+    counts: dict[str, tuple[int, int]]
+    errors: dict[str, float | None]
+    stages: dict[str, float]
+    intervals: dict[str, Interval | None]
+    frames: int
+
+
+def summarise_sight(records: Sequence[BinRecord], rng: np.random.Generator) -> SightSummary:
+    """Pool the judged frames of all bins.
+
+    Note: the intervals of an AP take some seconds for 500 frames.
+    """
+    frames = [frame for record in records for frame in record.frames]
+    counts = np.array([_counts(record.frames) for record in records]).reshape(-1, len(RATES), 2)
+    sums = counts.sum(axis=0).tolist()
+    ap, intervals = _segmentation(records, rng)
+    intervals |= {name: _rate_interval(counts[:, k], rng) for k, name in enumerate(RATES)}
+    return SightSummary(
+        ap=ap,
+        explained=_ap([_matches(frame, frame.explained) for frame in frames if frame.explained is not None]),
+        rates={name: right / n if n else None for name, (right, n) in zip(RATES, sums, strict=True)},
+        counts={name: (right, n) for name, (right, n) in zip(RATES, sums, strict=True)},
+        errors=_errors(frames),
+        stages={name: float(np.median([f.ms[name] for f in frames if name in f.ms])) for name in _stages(frames)},
+        intervals=intervals,
+        frames=len(frames),
+    )
+
+
+def over_bins(counts: Floats | Sequence[tuple[int, int]], rng: np.random.Generator) -> Interval | None:
+    """Return the interval of a pooled rate of (B, 2) successes and trials when whole bins are drawn; None for one."""
+    pairs = np.asarray(counts, np.float64).reshape(-1, 2)
+    tried = pairs[pairs[:, 1] > 0]
+    return bootstrap_ratio(tried[:, 0], tried[:, 1], rng) if len(tried) > 1 else None
+
+
+def _rate_interval(counts: Floats, rng: np.random.Generator) -> Interval | None:
+    """Return the interval over bins, but never a narrower one than if all trials were independent.
+
+    Wrong poses are few: from bins without any the bootstrap alone would conclude that there are none.
+    """
+    drawn = over_bins(counts, rng)
+    if drawn is None:
+        return None
+    low, high = wilson_interval(*counts.sum(axis=0).tolist())
+    return min(low, drawn[0]), max(high, drawn[1])
+
+
+def _counts(frames: Iterable[FrameRecord]) -> list[tuple[int, int]]:
+    """Return right ones and all, for each of `RATES`."""
+    frames = list(frames)
+    offered = [candidate for frame in frames for candidate in frame.candidates]
+    return [
+        (sum(candidate.right for candidate in offered), len(offered)),
+        (sum(candidate.found >= 0 for candidate in offered), len(offered)),
+        (sum(len(frame.found) for frame in frames), sum(len(frame.to_find) for frame in frames)),
+    ]
+
+
+def _segmentation(
+    records: Sequence[BinRecord], rng: np.random.Generator
+) -> tuple[dict[str, float | None], dict[str, Interval | None]]:
+    """Return the APs of the segments and their intervals over bins."""
+    matches, of_bin = [], []
+    for b, record in enumerate(records):
+        for frame in record.frames:
+            if frame.segments is not None:
+                matches.append(_matches(frame, frame.segments))
+                of_bin.append(b)
+    ap = _ap(matches)
+    if ap["ap"] is None or len(records) < 2:
+        return ap, dict.fromkeys(APS)
+    weights = bootstrap_weights(len(records), rng, AP_RESAMPLES)[:, of_bin]
+    drawn = weighted_ap(matches, weights)
+    return ap, {name: percentile_interval(drawn[:, k]) for k, name in enumerate(APS)}
+
+
+def _matches(frame: FrameRecord, table: SegmentTable) -> SceneMatches:
+    return table.matches(frame.visible_fractions)
+
+
+def _ap(matches: Sequence[SceneMatches]) -> dict[str, float | None]:
+    if not matches:
+        return dict.fromkeys(APS)
+    values = weighted_ap(matches, np.ones((1, len(matches))))[0].tolist()
+    return {name: None if np.isnan(value) else value for name, value in zip(APS, values, strict=False)}
+
+
+def _errors(frames: Sequence[FrameRecord]) -> dict[str, float | None]:
+    known = [
+        (1000 * candidate.translation, float(np.degrees(candidate.rotation)))
+        for frame in frames
+        for candidate in frame.candidates
+        if candidate.translation is not None and candidate.rotation is not None
+    ]
+    if not known:
+        return {"mm": None, "deg": None}
+    mm, deg = np.median(known, axis=0).tolist()
+    return {"mm": mm, "deg": deg}
+
+
+def _stages(frames: Sequence[FrameRecord]) -> list[str]:
+    return list(dict.fromkeys(name for frame in frames for name in frame.ms))

@@ -1,0 +1,147 @@
+"""A result as plain text, for the terminal."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from binpick_env.jobs.text_tables import WIDTH, number, percent, spread
+from binpick_env.parts import Part
+from policies.evaluation.conditions import conditions
+from policies.evaluation.records import BinRecord
+from policies.evaluation.statistics import Interval
+from policies.evaluation.summary import Summary
+
+_BAR = 24
+
+
+def result_table(summary: Summary) -> str:
+    """Return the table that ends the main job."""
+    config = summary.config
+    title = " · ".join([config["part"], *conditions(config), f"{summary.bins} bins", f"seed {summary.seed}"])
+    lines = [
+        title,
+        "═" * WIDTH,
+        *_side_by_side(summary),
+        "─" * WIDTH,
+        *_headline(summary),
+        *_over_bins(summary),
+        "─" * WIDTH,
+        *_sight(summary),
+    ]
+    lines += ["─" * WIDTH, *_times(summary), "─" * WIDTH]
+    lines += _counts("attempts by outcome", summary.outcomes, summary.attempts)
+    lines += _counts("failed attempts by blame", summary.blame, summary.failures)
+    lines += _counts("abstentions by reason", summary.abstentions, sum(summary.abstentions.values()))
+    lines += _counts("bins by their end", summary.termination, summary.bins)
+    lines += ["─" * WIDTH, *_parts(summary), *_clutter(summary)]
+    if len(summary.git_commits) > 1:
+        lines.append(f"NOTE  bins of {len(summary.git_commits)} different commits: {', '.join(summary.git_commits)}")
+    return "\n".join(lines)
+
+
+def found_note(found: Sequence[BinRecord], bins: int, commit: str) -> str:
+    """Say how many of ``bins`` records were there already, and warn if other code than ``commit`` made them."""
+    made = sorted({record.git_commit for record in found})
+    names = ", ".join(name or "unknown" for name in made)
+    note = f"{len(found)} of {bins} bins were there already, made by commit {names}"
+    if made == [commit]:
+        return note
+    return f"{note}\nWARNING  this code is commit {commit or 'unknown'}: --fresh computes those bins again"
+
+
+def part_note(part: Part) -> str:
+    """Say how a part's file was understood."""
+    order = part.model.symmetry.order
+    symmetry = "solid of revolution" if np.isinf(order) else f"symmetry order {order:.0f}"
+    size = f"d_max {1000 * part.model.d_max:.0f} mm"
+    return f"{Path(part.source).name}: read as {part.unit}, {size}, {symmetry}, {part.density:g} kg/m^3"
+
+
+def _side_by_side(summary: Summary) -> list[str]:
+    """Show what the same bins say of segmentation, poses and picking in three columns."""
+    gsr = summary.gsr_rate
+    columns = [
+        ("segmentation AP", "recognition", "picking success"),
+        (percent(summary.ap), percent(summary.candidate_pose_accuracy), percent(summary.gsr)),
+        (
+            f"AP50 {percent(summary.ap50)}, AP75 {percent(summary.ap75)}",
+            f"poses right of {summary.candidates}",
+            f"GSR of {summary.attempts} attempts",
+        ),
+        (
+            _interval(summary.intervals["ap"]),
+            _interval(summary.intervals["candidate_pose_accuracy"]),
+            _interval((gsr.low, gsr.high)),
+        ),
+    ]
+    return [f"{a:<34}{b:<24}{c:<20}".rstrip() for a, b, c in columns]
+
+
+def _sight(summary: Summary) -> list[str]:
+    error = summary.pose_error
+    lines = [
+        f"candidates    precision {percent(summary.candidate_precision)}, recall {percent(summary.candidate_recall)} "
+        f"of {summary.parts_to_find} parts half visible, in {summary.frames} frames",
+        f"poses off by  {number(error['mm'], 2)} mm, {number(error['deg'], 2)} deg (medians)",
+    ]
+    if summary.perception_ms:
+        stages = ", ".join(f"{name} {ms:.0f}" for name, ms in summary.perception_ms.items())
+        lines.append(f"a frame       {sum(summary.perception_ms.values()):.0f} ms: {stages} (medians)")
+    return lines
+
+
+def _headline(summary: Summary) -> list[str]:
+    rows = [("", "value", "n", "95 % interval")]
+    for name, rate in (("GSR  grasp success", summary.gsr_rate), ("DR   declutter", summary.dr_rate)):
+        interval = f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %"
+        rows.append((name, percent(rate.value), f"{rate.successes}/{rate.n}", interval))
+    for name, value, key in (
+        ("MPPH mean picks per hour", summary.mpph, "mpph"),
+        ("     on motion alone", summary.motion_dph, "motion_dph"),
+    ):
+        rows.append((name, number(value, 0), str(summary.attempts), spread(summary.intervals[key])))
+    return [f"{a:<28}{b:>12}{c:>14}{d:>24}" for a, b, c, d in rows]
+
+
+def _times(summary: Summary) -> list[str]:
+    t, wall = summary.time, summary.wall
+    return [
+        f"an attempt    sense {number(t['sense'], 2)} s (nominal)   compute {number(t['compute'], 2)} s (wall)   "
+        f"motion {number(t['motion'], 2)} s (simulated)",
+        f"wall clock    {number(wall['attempt'], 2)} s an attempt, {number(wall['bin'], 1)} s a bin, "
+        f"{percent(wall['render_share'])} of it rendering ({summary.camera_backend})",
+    ]
+
+
+def _counts(title: str, counts: dict[str, int], total: int) -> list[str]:
+    shown = [(name, count) for name, count in counts.items() if count]
+    if not shown:
+        return [f"{title:<28}none"]
+    lines = []
+    for k, (name, count) in enumerate(shown):
+        bar = "█" * max(1, round(_BAR * count / total))
+        lines.append(f"{title if k == 0 else '':<28}{name:<20}{count:>5}  {bar}")
+    return lines
+
+
+def _over_bins(summary: Summary) -> list[str]:
+    gsr, dr = (_interval(summary.intervals[key]) for key in ("gsr_bins", "dr_bins"))
+    return [f"over bins     95 % intervals from resampling whole bins: GSR {gsr}, DR {dr}"]
+
+
+def _interval(interval: Interval | None) -> str:
+    return "–" if interval is None else f"{100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
+
+
+def _parts(summary: Summary) -> list[str]:
+    left = summary.parts_total - summary.delivered - summary.lost
+    return [f"parts         {summary.delivered} delivered, {summary.lost} lost, {left} left in the bin"]
+
+
+def _clutter(summary: Summary) -> list[str]:
+    c = summary.clutter
+    return [
+        f"clutter       visible fraction: median {number(c['median'], 2)}, "
+        f"{percent(c['below_half'])} of parts under 0.5, {percent(c['above_nine_tenths'])} over 0.9"
+    ]

@@ -1,0 +1,1 @@
+"""Grasp candidates: antipodal grasps, the gripper, clearance."""

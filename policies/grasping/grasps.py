@@ -1,0 +1,275 @@
+"""A part's grasps: sampled once on its mesh, checked against the part itself, thinned to an even cover, cached."""
+
+import logging
+from dataclasses import dataclass, fields
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from perception.geometry import Floats, make_transform
+from perception.part import PartModel
+from perception.runtime.cache import Arrays, cached_arrays, digest
+from policies.grasping.antipodal import Contacts, Solid, close_pads, grasps_on_lines, opposite_faces
+from policies.grasping.gripper import PAD_SIZE, GripperModel, gripper_model
+from policies.grasping.outcomes import Grasp
+
+_log = logging.getLogger(__name__)
+_VERSION = 5  # raised whenever the code below would give another set
+_SURFACE_DENSITY = 1.5e6  # points per square metre: five in a cell of 2 mm
+_SYMMETRY_STEPS = 24  # turns about a continuous axis
+_FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspSettings:
+    """How grasps are sampled and judged. Lengths [m]."""
+
+    samples: int = 1500  # surface points that lines are shot from
+    turns: int = 16  # approach directions about each line
+    depths: tuple[float, ...] = (0.0, 0.003, 0.007, 0.012, 0.018)  # fingertips beyond the line of contact
+    friction: float = 0.4  # of the cone; the pads' own is 0.6 to 0.7
+    min_width: float = 0.003
+    max_width: float = 0.078
+    extras: tuple[float, ...] = (0.003, 0.005, 0.008, 0.012)  # openings tried: width + twice this
+    max_opening: float = 0.084  # the stroke is 0.085
+    part_margin: float = 0.001  # that the open gripper keeps from the part
+    side_margin: float = 0.002  # beside a closed pad; a pad wedged between two collars does not let go of the part
+    min_area: float = 0.04  # share of a pad's face that must touch
+    max_grasps: int = 4000
+    max_checked: int = 20000  # poses whose pads are closed, drawn evenly from those that do not cut the part
+
+    def __post_init__(self) -> None:
+        for name in ("samples", "turns", "max_grasps", "max_checked"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not 0 < self.friction < 2:
+            raise ValueError(f"friction must be in (0, 2), got {self.friction}")
+        if not 0 < self.min_width < self.max_width < self.max_opening:
+            widths = self.min_width, self.max_width, self.max_opening
+            raise ValueError(f"0 < min_width < max_width < max_opening is required, got {widths}")
+        if not self.depths or not self.extras or list(self.extras) != sorted(self.extras) or min(self.extras) <= 0:
+            raise ValueError(f"depths must not be empty and extras must rise from above 0, got {self.extras}")
+
+    @property
+    def min_cosine(self) -> float:
+        """Cosine of the friction cone's half angle."""
+        return float(np.cos(np.arctan(self.friction)))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GraspSet:
+    """Grasps on one part, best first. The jaw turned by half about its approach is the same grasp: see :func:`flip`.
+
+    Attributes:
+        T_part_grasp: (G, 4, 4).
+        width: (G,) distance between the pads at contact [m].
+        quality: (G,) in [0, 1].
+        extras: (E,) tried openings: width + twice this [m], rising.
+        clear: (G, E) whether approach and closing at this opening keep off the part itself.
+        surface: (S, 3) points spread over the part's surface, part frame [m].
+    """
+
+    T_part_grasp: Floats
+    width: Floats
+    quality: Floats
+    extras: Floats
+    clear: NDArray[np.bool_]
+    surface: Floats
+
+    def __len__(self) -> int:
+        return len(self.width)
+
+    def __getitem__(self, index: int) -> Grasp:
+        return Grasp(
+            T_part_grasp=self.T_part_grasp[index],
+            width=float(self.width[index]),
+            quality=float(self.quality[index]),
+        )
+
+    def take(self, index: NDArray[np.int64]) -> "GraspSet":
+        """Return the grasps at (M,) indices."""
+        kept = {name: getattr(self, name)[index] for name in ("T_part_grasp", "width", "quality", "clear")}
+        return GraspSet(**kept, extras=self.extras, surface=self.surface)
+
+
+def flip(T_a_grasp: Floats) -> Floats:
+    """Turn (..., 4, 4) grasps by half about their approach: alike for the part, another posture for the arm."""
+    return T_a_grasp @ _FLIP
+
+
+def sample_grasps(model: PartModel, settings: GraspSettings | None = None, seed: int = 0) -> GraspSet:
+    """Return the part's grasps from the cache, or sample, check, rate and thin them.
+
+    Args:
+        model: Any watertight part.
+        settings: Defaults if None.
+        seed: Of the surface samples.
+
+    Returns:
+        At most ``max_grasps``; empty, with a logged warning that counts what each filter left, if the jaw fits nowhere.
+
+    Note:
+        Deterministic. Seconds when computed, milliseconds from the cache.
+    """
+    settings = settings or GraspSettings()
+    gripper = gripper_model()
+    mesh = np.asarray(model.mesh.vertices), np.asarray(model.mesh.faces)
+    group = model.symmetry.elements(_SYMMETRY_STEPS)
+    key = digest(_VERSION, trimesh.__version__, settings, seed, *mesh, group, model.centre, gripper.points)
+    names = [f.name for f in fields(GraspSet)]
+
+    def compute() -> Arrays:
+        found = _compute(model, settings, gripper, seed)
+        return {name: getattr(found, name) for name in names}
+
+    arrays = cached_arrays("grasps", key, compute)
+    return GraspSet(**{name: arrays[name] for name in names})
+
+
+def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, seed: int) -> GraspSet:
+    mesh, rng = model.mesh, np.random.default_rng(seed)
+    widths = settings.min_width, settings.max_width
+    lines = opposite_faces(mesh, settings.samples, settings.min_cosine, widths, seed)
+    T, width = grasps_on_lines(*lines, settings.turns, settings.depths)
+    counts = {"lines through the part": len(lines[0]), "poses": len(T)}
+    solid = Solid.from_mesh(mesh)
+
+    # The pads may touch more than the two points of the line: rough check, exact closing, then the full check.
+    opening = np.minimum(width + 2 * settings.extras[0], settings.max_opening)
+    rough = solid.clear(gripper.tcp_from_grasp(T, width), opening, gripper, margin=0.0, pad_margin=0.0)
+    chosen = np.flatnonzero(rough)
+    counts["clear of the part when open"] = len(chosen)
+    if len(chosen) > settings.max_checked:
+        chosen = np.sort(rng.choice(chosen, settings.max_checked, replace=False))
+    T, contacts = T[chosen], close_pads(mesh, T[chosen], width[chosen])
+    T[:, :3, 3] += contacts.shift[:, None] * T[:, :3, 1]
+    firm = (contacts.area >= settings.min_area) & (contacts.alignment >= settings.min_cosine)
+    firm &= (contacts.width >= settings.min_width) & (contacts.width <= settings.max_width)
+    firm &= contacts.offset <= settings.friction * np.maximum(contacts.width, 0.01)
+    counts["firm contact"] = int(firm.sum())
+
+    quality = _quality(T, contacts, model, settings)
+    T, width, quality = T[firm], contacts.width[firm], quality[firm]
+    clear = _clear_openings(solid, T, width, gripper, settings)
+    counts["clear while closing"] = int(clear.any(axis=1).sum())
+    kept = np.flatnonzero(clear.any(axis=1) & _comes_free(solid, T, width, settings.side_margin))
+    counts["not wedged"] = len(kept)
+    surface, _ = trimesh.sample.sample_surface(mesh, max(int(mesh.area * _SURFACE_DENSITY), 1000), seed=seed)
+    found = GraspSet(
+        T_part_grasp=T, width=width, quality=quality, clear=clear, extras=np.array(settings.extras), surface=surface
+    ).take(kept)
+    if len(found) == 0:
+        _log.warning("no grasp on %r; left after each filter: %s", model.name, counts)
+        return found
+    cover = _replicate(found.take(_spread(found, settings.max_grasps)), model)
+    return cover.take(_spread(cover, settings.max_grasps))
+
+
+def _clear_openings(
+    solid: Solid, T_part_grasp: Floats, width: Floats, gripper: GripperModel, settings: GraspSettings
+) -> NDArray[np.bool_]:
+    """Return (N, E): whether approach, closing and contact cut nothing of the part but what the pads press on."""
+    T_part_tcp = gripper.tcp_from_grasp(T_part_grasp, width)
+    margin = settings.part_margin
+
+    def narrow(clear: NDArray[np.bool_], gap: Floats, margin: float, pad_margin: float, retreat: float = 0.0) -> None:
+        todo = np.flatnonzero(clear)
+        margins = {"margin": margin, "pad_margin": pad_margin}
+        clear[todo] = solid.clear(T_part_tcp[todo], gap[todo], gripper, retreat=retreat, **margins)
+
+    # At contact the pads' faces lie on the part, and tilted by up to 2 degrees; the distance is good to half a voxel.
+    closes = np.ones(len(width), dtype=np.bool_)
+    narrow(closes, width, 0.5 * margin, -1.0e-3)
+    columns = []
+    for extra in settings.extras:
+        opening = width + 2 * extra
+        for gap in (width + extra, opening):  # whoever comes from further out passes here as well
+            narrow(closes, gap, 0.0, 0.0)
+        clear = closes & (opening <= settings.max_opening)
+        for retreat in (0.0, 0.02, 0.045):
+            narrow(clear, opening, margin, margin, retreat)
+        columns.append(clear)
+    return np.stack(columns, axis=1)
+
+
+def _comes_free(solid: Solid, T_part_grasp: Floats, width: Floats, margin: float) -> NDArray[np.bool_]:
+    """Return (N,): whether nothing of the part lies within ``margin`` [m] of the narrow sides of the closed pads."""
+    across, thickness, length = PAD_SIZE[0] / 2 + margin, PAD_SIZE[1], PAD_SIZE[2]
+    depth = np.linspace(0.0015, thickness, 4)  # behind the pad's face; the first millimetre is what the pad presses on
+    x, y, z = np.meshgrid([-across, across], depth, np.linspace(-length, margin, 16), indexing="ij")
+    free = np.ones(len(width), dtype=np.bool_)
+    for side in (-1.0, 1.0):
+        for at in np.stack([x, side * y, z], axis=-1).reshape(-1, 3):
+            point = np.tile(at, (len(width), 1))
+            point[:, 1] += side * width / 2
+            points_part = np.einsum("nij,nj->ni", T_part_grasp[:, :3, :3], point) + T_part_grasp[:, :3, 3]
+            free &= solid.distance(points_part) > 0
+    return free
+
+
+def _quality(T: Floats, contacts: Contacts, model: PartModel, settings: GraspSettings) -> Floats:
+    """Return (N,) in [0, 1]: the weighted geometric mean of patch, alignment, lever of gravity, opposition and width.
+
+    The lever is the centre of mass's distance from the axis through both patches, about which the part would turn.
+    """
+    axis_point = T[:, :3, 3] + np.einsum("nij,nj->ni", T[:, :3, [0, 2]], contacts.middle)
+    to_centre = model.centre - axis_point
+    lever = np.linalg.norm(np.cross(to_centre, T[:, :3, 1]), axis=1)
+    spare = (settings.max_opening - contacts.width) / 0.010  # 10 mm to spare is plenty
+    terms = (
+        (0.30, contacts.area / 0.30),  # a third of the pad's face is as good as all of it
+        (0.25, 1 - np.arccos(np.clip(contacts.alignment, -1, 1)) / np.arctan(settings.friction)),
+        (0.25, 1 - lever / (0.6 * model.d_max)),
+        (0.10, 1 - contacts.offset / (settings.friction * np.maximum(contacts.width, 0.01))),
+        (0.10, spare),
+    )
+    return np.exp(sum(weight * np.log(np.clip(term, 0.02, 1.0)) for weight, term in terms))
+
+
+def _replicate(found: GraspSet, model: PartModel) -> GraspSet:
+    """Apply every element of the part's symmetry group to every grasp."""
+    to_centre = make_transform(translation=-model.centre)
+    back = make_transform(translation=model.centre)
+    turns = [back @ make_transform(R) @ to_centre for R in model.symmetry.elements(_SYMMETRY_STEPS)]
+    repeated = found.take(np.tile(np.arange(len(found)), len(turns)))
+    T = np.concatenate([turn @ found.T_part_grasp for turn in turns])
+    return GraspSet(T_part_grasp=T, **{f.name: getattr(repeated, f.name) for f in fields(GraspSet)[1:]})
+
+
+def _spread(found: GraspSet, limit: int) -> NDArray[np.int64]:
+    """Choose at most ``limit`` indices, best first, spread evenly over approach, jaw direction and place.
+
+    The best of every cell (about 15 degrees of approach, 30 of the jaw, 10 mm) is kept; where that is too many, each
+    approach gives the best of each of its places and widths, then the second best of each, and so on: a part that is
+    held well by its rim must not lose the grasps on its hub, which may be the only ones that a neighbour leaves free.
+    """
+    order = np.argsort(-found.quality, kind="stable")
+    T = found.T_part_grasp[order]
+    approach = np.argmax(T[:, :3, 2] @ _fibonacci_sphere(180).T, axis=1)
+    jaw = np.argmax(np.abs(T[:, :3, 1] @ _fibonacci_sphere(90).T), axis=1)  # a jaw has no sign
+    place = np.floor(T[:, :3, 3] / 0.010).astype(np.int64)
+    _, first = np.unique(np.column_stack([approach, jaw, place]), axis=0, return_index=True)
+    first = np.sort(first)
+    region = np.floor(T[:, :3, 3] / 0.025).astype(np.int64)
+    width = np.floor(found.width[order] / 0.010).astype(np.int64)
+    _, site = np.unique(np.column_stack([approach, region, width])[first], axis=0, return_inverse=True)
+    kept = first[np.lexsort((_ranks(approach[first]), _ranks(site)))[:limit]]
+    return order[np.sort(kept)]
+
+
+def _ranks(groups: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return (N,) how many earlier entries are of the same group."""
+    by_group = np.argsort(groups, kind="stable")
+    starts = np.searchsorted(groups[by_group], groups[by_group])
+    ranks = np.empty(len(groups), dtype=np.int64)
+    ranks[by_group] = np.arange(len(groups)) - starts
+    return ranks
+
+
+def _fibonacci_sphere(count: int) -> Floats:
+    """Return (count, 3) directions spread evenly over the sphere."""
+    i = np.arange(count) + 0.5
+    z, azimuth = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
+    radius = np.sqrt(1 - z * z)
+    return np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z])

@@ -1,0 +1,1 @@
+"""Motion of the arm: inverse kinematics, paths, timing, collision checks."""

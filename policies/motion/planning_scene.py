@@ -1,0 +1,199 @@
+"""The cell without its parts, as the planner sees it: postures in, contacts and tcp poses out.
+
+Two models of one cell: ``model`` (14 joints: six of the arm, eight of the jaw's linkage) answers for collisions at any
+opening of the jaw, ``arm_model`` (six joints, jaw open and rigid) is what inverse kinematics runs on.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from binpick_env.cell.robot import ARM_JOINTS, FINGER_PADS, GRIPPER, TCP_SITE
+from binpick_env.cell.scene import cell_spec
+from binpick_env.config import CellConfig
+from perception.geometry import Floats, require_shape
+from policies.motion._kernels import box_heights
+
+DOF = len(ARM_JOINTS)
+MAX_CLEARANCE = 0.03  # contacts with the cell are found up to this distance [m]
+_STATIC, _SHOULDER, _ARM, _JAW = 1, 2, 4, 8  # collision bits: the shoulder meets links only, the jaw never itself
+_DRIVER_RANGE = (0.0, 0.8)  # of the 2F-85's driver joints, open to closed [rad]
+_BASE_LINK = (0.076, 0.05)  # radius and half height of the arm's base, which Menagerie gives no collision shape [m]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """Two bodies that touch, or come nearer than was asked for.
+
+    Attributes:
+        first: Name of the geom, or of its body where the geom has none.
+        second: Likewise.
+        distance: Signed distance [m]; negative is penetration.
+        gripper_on_cell: Whether it is between the gripper and the cell, so that the tcp's pose alone decides it.
+    """
+
+    first: str
+    second: str
+    distance: float
+    gripper_on_cell: bool
+
+
+class PlanningScene:
+    """Kinematics and collision queries of the cell. Owns its simulation data; no query depends on an earlier one."""
+
+    def __init__(self, config: CellConfig | None = None) -> None:
+        """Compile the models; takes about a second.
+
+        Args:
+            config: The cell; the default cell if None.
+        """
+        self.config = config if config is not None else CellConfig()
+        self.model = _planning_spec(self.config).compile()
+        self.arm_model = _without_jaw_joints(_planning_spec(self.config)).compile()
+        self._data = mujoco.MjData(self.model)
+        self._tcp = self.model.site(TCP_SITE).id
+        self._drivers, self._openings = self._calibrate_jaw()
+        mujoco.mj_kinematics(self.model, self._data)
+        boxes = (self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX) & (self.model.geom_contype == _STATIC)
+        # Upright, all of them, and they stay where they are.
+        self._boxes = self._data.geom_xpos[boxes], self._data.geom_xmat[boxes], self.model.geom_size[boxes]
+
+    @property
+    def limits(self) -> Floats:
+        """(6, 2) lower and upper joint limits [rad]."""
+        return np.array([self.model.joint(name).range for name in ARM_JOINTS])
+
+    @property
+    def rim(self) -> float:
+        """Height of the bin's rim above the table [m]."""
+        return self.config.bin.wall + self.config.bin.inner_size[2]
+
+    @property
+    def max_opening(self) -> float:
+        """Distance between the pads when the jaw is fully open [m]."""
+        return float(self._openings[0])
+
+    def jaw_posture(self, opening: float) -> Floats:
+        """Return the (8,) joint positions of the jaw's linkage [rad] for a distance between the pads [m], clipped."""
+        driver = np.interp(-opening, -self._openings, self._drivers)
+        return _linkage(float(driver))
+
+    def tcp_poses(self, q: Floats) -> Floats:
+        """Return the (S, 4, 4) poses ``T_world_tcp`` of (S, 6) postures."""
+        poses = np.zeros((len(q), 4, 4))
+        poses[:, 3, 3] = 1.0
+        rotation, place = self._data.site_xmat[self._tcp].reshape(3, 3), self._data.site_xpos[self._tcp]
+        for i, posture in enumerate(q):
+            self._place(posture, None)
+            poses[i, :3, :3], poses[i, :3, 3] = rotation, place
+        return poses
+
+    def contacts(self, q: Floats, *, opening: float | None = None, clearance: float = 0.0) -> list[Contact]:
+        """Return the robot's contacts with the cell and with itself, deepest first; empty means free.
+
+        Args:
+            q: (6,) posture [rad].
+            opening: Distance between the pads [m]; None for the open jaw.
+            clearance: Nearer than this to the cell counts as contact [m]; at most ``MAX_CLEARANCE``. Below zero it is
+                how deep the robot may be in the cell, since simulated contacts are soft.
+        """
+        if not -MAX_CLEARANCE <= clearance <= MAX_CLEARANCE:
+            raise ValueError(f"clearance must be in [-{MAX_CLEARANCE}, {MAX_CLEARANCE}] m, got {clearance}")
+        self._place(q, opening)
+        mujoco.mj_collision(self.model, self._data)
+        if self._data.ncon == 0:
+            return []
+        near = []
+        for (a, b), distance in zip(self._data.contact.geom, self._data.contact.dist, strict=True):
+            bits = self.model.geom_contype[a] | self.model.geom_contype[b]
+            if distance < (clearance if bits & _STATIC else 0.0):
+                names = self._geom_name(a), self._geom_name(b)
+                contact = Contact(
+                    first=names[0],
+                    second=names[1],
+                    distance=float(distance),
+                    gripper_on_cell=bool(bits == _STATIC | _JAW),
+                )
+                near.append(contact)
+        return sorted(near, key=lambda contact: contact.distance)
+
+    def static_height(self, points_world: Floats) -> Floats:
+        """Return the (P,) height [m] of the highest surface of table, bin and tray at the (P, 3) points' x and y."""
+        require_shape("points_world", points_world, (None, 3))
+        height: Floats = box_heights(np.ascontiguousarray(points_world), *self._boxes)
+        return height
+
+    def _place(self, q: Floats, opening: float | None) -> None:
+        qpos = self._data.qpos  # the arm's joints come first
+        qpos[:DOF] = q
+        qpos[DOF:] = _OPEN_JAW if opening is None else self.jaw_posture(opening)
+        mujoco.mj_kinematics(self.model, self._data)
+
+    def _calibrate_jaw(self) -> tuple[Floats, Floats]:
+        """Tabulate the distance between the pads over the driver's angle."""
+        drivers = np.linspace(*_DRIVER_RANGE, 33)
+        left, right = (self.model.geom(pads[0]).id for pads in FINGER_PADS)
+        openings = []
+        for driver in drivers:
+            self._data.qpos[DOF:] = _linkage(driver)
+            mujoco.mj_kinematics(self.model, self._data)
+            openings.append(mujoco.mj_geomDistance(self.model, self._data, left, right, 0.2, None))
+        return drivers, np.array(openings)
+
+    def _geom_name(self, geom: int) -> str:
+        return str(self.model.geom(geom).name or self.model.body(self.model.geom_bodyid[geom]).name)
+
+
+def _linkage(driver: float) -> Floats:
+    """Return the (8,) joint positions of both fingers; the pads stay parallel, as the four-bar linkage keeps them."""
+    return np.array([driver, 0.0, driver, -driver, driver, 0.0, driver, -driver])
+
+
+_OPEN_JAW = _linkage(0.0)
+
+
+def _planning_spec(config: CellConfig) -> mujoco.MjSpec:
+    """Return the cell stripped to its collision shapes, with the bits set that say who may touch whom."""
+    spec = cell_spec(config)
+    radius, half = _BASE_LINK
+    cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
+    spec.body("base").add_geom(name="arm_base", type=cylinder, size=[radius, half, 0], pos=[0, 0, half])
+    spec.add_exclude(bodyname1="base", bodyname2="upper_arm_link")  # 3 mm apart in every posture
+    robot = [body for body in spec.bodies if body.name in _arm_links(spec) or body.name.startswith(GRIPPER)]
+    robot_names = {body.name for body in robot}
+    for body in spec.bodies:
+        for geom in list(body.geoms):
+            if body.name in robot_names and geom.contype == 0:
+                spec.delete(geom)  # the visible shapes
+            elif body.name in robot_names:
+                bit = _JAW if body.name.startswith(GRIPPER) else _ARM
+                bit = _SHOULDER if body.name == "shoulder_link" else bit
+                meets = {_JAW: _STATIC, _SHOULDER: _ARM | _JAW, _ARM: _STATIC | _ARM | _JAW}[bit]
+                geom.contype, geom.conaffinity = bit, meets
+                if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+                    _as_mesh(spec, geom)
+            elif geom.name:  # the base's visible shapes have no names
+                geom.contype, geom.conaffinity, geom.margin = _STATIC, 0, MAX_CLEARANCE
+    return spec
+
+
+def _as_mesh(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> None:
+    """Turn a box into a mesh of its corners: MuJoCo's box against box overlooks some pairs that are near but apart."""
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    spec.add_mesh(name=geom.name, uservert=(signs * geom.size).ravel())
+    geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, geom.name
+
+
+def _arm_links(spec: mujoco.MjSpec) -> set[str]:
+    return {spec.joint(name).parent.name for name in ARM_JOINTS}
+
+
+def _without_jaw_joints(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Freeze the jaw where the model's zero has it, fully open."""
+    for element in [*spec.equalities, *spec.actuators, *spec.tendons]:
+        spec.delete(element)
+    for joint in list(spec.joints):
+        if joint.name not in ARM_JOINTS:
+            spec.delete(joint)
+    return spec

@@ -1,0 +1,131 @@
+"""One attempt, step by step: trajectories, jaw, guard, and what the outcome depends on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from binpick_env.cell.delivery import Delivery
+from binpick_env.config import CONTROL_PERIOD
+from binpick_env.env import BinPickEnv
+from perception.geometry import Floats
+from policies.grasping.outcomes import GraspOutcome
+from policies.motion.trajectory import Trajectory
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExecutionSettings:
+    """Times [s] and forces [N] of an attempt."""
+
+    stop_force: float = 60.0  # of contact on the way down, at which the descent is broken off
+    close_time: float = 0.6  # at most, for the jaw to come to rest
+    release_time: float = 0.24  # for the jaw to open before the arm leaves
+    settle_time: float = 1.5  # at most, for the released part to be judged
+
+
+class Execution:
+    """Steps the environment through one attempt and remembers what its outcome depends on."""
+
+    def __init__(self, env: BinPickEnv, settings: ExecutionSettings) -> None:
+        self._env = env
+        self._settings = settings
+        self._way: list[Floats] = []
+        self._collided = False
+        self._held: dict[str, bool] = {}
+
+    def follow(self, trajectory: Trajectory, gripper: float, *, guard: bool = False) -> bool:
+        """Run a trajectory; with ``guard``, stop and return False when the robot pushes harder than it may."""
+        for q in trajectory.q[1:]:
+            self._step(q, gripper)
+            if guard and self._pushes():
+                return False
+        return True
+
+    def leap_home(self) -> bool:
+        """Be at home without a way there, if that can be; it cannot."""
+        return False
+
+    def carry(self, trajectory: Trajectory, empty: float) -> bool:
+        """Lift and carry with the jaw closing; False as soon as the jaw is found empty after the lift.
+
+        Args:
+            trajectory: Its first mark is the lift's end.
+            empty: Gripper position from which the jaw holds nothing.
+        """
+        lifted = trajectory.marks[0]
+        for k, q in enumerate(trajectory.q[1:], start=1):
+            self._step(q, 1.0)
+            if k == lifted:
+                self._held["lifted"] = bool(self._env.simulation.gripped())
+                if self._env.simulation.gripper_position >= empty:
+                    return False
+            if k >= lifted and self._carry_across(trajectory, k):
+                break
+        self._held["carried"] = bool(self._env.simulation.gripped())
+        return True
+
+    def close(self) -> None:
+        """Close the jaw and wait until it rests."""
+        simulation = self._env.simulation
+        last = -1.0
+        for k in range(round(self._settings.close_time / CONTROL_PERIOD)):
+            self._step(simulation.target, 1.0)
+            if k >= 3 and abs(simulation.gripper_position - last) < 2e-3:
+                break
+            last = simulation.gripper_position
+        self._held["closed"] = bool(simulation.gripped())
+
+    def release(self) -> None:
+        """Open the jaw."""
+        for _ in range(round(self._settings.release_time / CONTROL_PERIOD)):
+            self._step(self._env.simulation.target, 0.0)
+
+    def retrace(self) -> None:
+        """Go back the way that was come, with the jaw open."""
+        for q in reversed(self._way.copy()):
+            self._step(q, 0.0)
+
+    def await_judgement(self) -> None:
+        """Wait at rest until no part is left to be judged, so that each is the attempt's that moved it."""
+        for _ in range(round(self._settings.settle_time / CONTROL_PERIOD)):
+            if not self._env.unjudged():
+                return
+            self._step(self._env.simulation.target, 0.0)
+
+    def outcome(self, kinds: list[Delivery]) -> GraspOutcome:
+        """Name the outcome from what left play during the attempt and from what was held when."""
+        if Delivery.DELIVERED in kinds:
+            return GraspOutcome.DELIVERED
+        if Delivery.DOUBLE in kinds:
+            return GraspOutcome.DOUBLE
+        if Delivery.LEFT_BIN in kinds:
+            return GraspOutcome.LEFT_BIN
+        if self._collided:
+            return GraspOutcome.COLLIDED
+        if not self._held.get("closed", False):
+            return GraspOutcome.MISSED
+        if not self._held.get("lifted", False):
+            return GraspOutcome.SLIPPED
+        if not self._held.get("carried", False):
+            return GraspOutcome.DROPPED
+        return GraspOutcome.NOT_SETTLED
+
+    def _pushes(self) -> bool:
+        """Return, and remember, whether the robot pushes harder than it may."""
+        if self._env.simulation.robot_push().force <= self._settings.stop_force:
+            return False
+        self._collided = True
+        return True
+
+    def _carry_across(self, trajectory: Trajectory, k: int) -> bool:  # noqa: ARG002 - those that leave out physics do
+        """Bring the load from sample ``k``, lifted, to the trajectory's end in one, if that can be; it cannot."""
+        return False
+
+    def _step(self, q: Floats, gripper: float) -> None:
+        if self._env.truncated:
+            return
+        self._way.append(self._env.simulation.target.copy())
+        self._advance(np.append(q, gripper).astype(np.float32))
+
+    def _advance(self, action: NDArray[np.float32]) -> None:
+        self._env.step(action)

@@ -1,0 +1,80 @@
+"""The error budget as text and as a page."""
+
+from html import escape
+from pathlib import Path
+
+from binpick_env.jobs.report_style import page, table
+from binpick_env.jobs.text_tables import columns, number, percent
+from perception.runtime.files import write_atomically
+from policies.evaluation.budget import COSTS, MODES, Budget, Cost
+from policies.evaluation.failure_attribution import Blame
+
+_RATES = {
+    "AP": "ap",
+    "AP50": "ap50",
+    "AP75": "ap75",
+    "recognition": "candidate_pose_accuracy",
+    "precision": "candidate_precision",
+    "recall": "candidate_recall",
+    "GSR": "gsr",
+    "DR": "dr",
+}
+_NAMES = {"gsr": "GSR [points]", "dr": "DR [points]", "mpph": "MPPH"}
+NOTE = "Differences of the pooled numbers; in brackets 95 % from resampling bins, each drawn both ways at once."
+
+
+def budget_table(budget: Budget) -> str:
+    """Return the budget as plain text, for the terminal."""
+    title = f"{budget.part} · sensor {budget.sensor} · {budget.bins} bins · seed {budget.seed}"
+    parts = [
+        title,
+        columns([("", *MODES), *_numbers(budget)]),
+        columns([("cost of", *_stages()), *_costs(budget)]),
+        NOTE,
+    ]
+    return "\n\n".join(parts)
+
+
+def write_budget_report(path: Path, budget: Budget) -> None:
+    """Write the page; it links to the evaluations' own reports, which lie in folders beside it."""
+    part = escape(Path(budget.part).name)
+    rows = [[escape(cell) for cell in row] for row in _numbers(budget)]
+    rows.append(["picks", *(f"<a href='{mode}/report.html'>report</a>" for mode in MODES)])
+    costs = [[escape(cell) for cell in row] for row in _costs(budget)]
+    body = (
+        f"<h1>Error budget: {part}</h1><p>{budget.bins} bins · sensor {escape(budget.sensor)} · seed {budget.seed}</p>"
+        f"<h2>The same bins three ways</h2><div class='card'>{table(('', *MODES), rows)}</div>"
+        f"<h2>What each stage costs</h2><p>{NOTE}</p>"
+        f"<div class='card'>{table(('', *_stages()), costs)}</div>"
+    )
+    write_atomically(path, page(f"binpick: error budget of {part}", body))
+
+
+def _stages() -> list[str]:
+    return [f"{stage} ({given} - {without})" for stage, (given, without) in COSTS.items()]
+
+
+def _numbers(budget: Budget) -> list[list[str]]:
+    """Return the rows of the evaluations' numbers, and of failed attempts by blame."""
+    summaries = [budget.modes[mode] for mode in MODES]
+    rows = [[name, *(percent(getattr(summary, key)) for summary in summaries)] for name, key in _RATES.items()]
+    rows.append(["MPPH", *(number(summary.mpph, 0) for summary in summaries)])
+    times = ("sense", "compute", "motion")
+    rows += [[f"{name} [s]", *(number(summary.time[name], 2) for summary in summaries)] for name in times]
+    rows.append(["attempts", *(str(summary.attempts) for summary in summaries)])
+    rows += [[f"failed by {name}", *(str(summary.blame[name]) for summary in summaries)] for name in Blame]
+    rows.append(["abstentions", *(str(sum(summary.abstentions.values())) for summary in summaries)])
+    return rows
+
+
+def _costs(budget: Budget) -> list[list[str]]:
+    return [[name, *(_cost(budget.costs[stage][key], key) for stage in COSTS)] for key, name in _NAMES.items()]
+
+
+def _cost(cost: Cost, key: str) -> str:
+    digits, unit = (0, 1.0) if key == "mpph" else (1, 100.0)
+    if cost.value is None:
+        return "–"
+    if cost.low is None or cost.high is None:
+        return f"{unit * cost.value:+.{digits}f}"
+    return f"{unit * cost.value:+.{digits}f} ({unit * cost.low:+.{digits}f} to {unit * cost.high:+.{digits}f})"

@@ -1,0 +1,153 @@
+"""Every pick of an evaluation in pictures, failures first, and the links that show one kind of them alone.
+
+A link to ``#only-KIND`` hides all other picks by CSS's ``:target``: the page needs no script.
+"""
+
+import os
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+
+from binpick_env.jobs.report_style import tag
+from binpick_env.jobs.text_tables import number, percent
+from policies.evaluation.frame_record import CandidateRecord
+from policies.evaluation.records import BinRecord, PickRecord
+from policies.grasping.outcomes import GraspOutcome
+
+ALL = "all"
+NOTE = (
+    "The frame that each decision was made on, boundary points in the colour of the part that their group is (red and "
+    "white stripes: of none). The outline is the chosen candidate's model, green where its pose is right and red where "
+    "it is wrong; fingertips open (thin) and closed (thick) in orange, the last 5 cm of the approach in white. Where "
+    "nothing was tried, the whole bin with all candidates."
+)
+_CSS = """
+.picks figure { scroll-margin: 12px; } .picks img { aspect-ratio: 1; background: var(--track); }
+.picks figure:target { outline: 3px solid var(--accent); outline-offset: 4px; border-radius: 8px; }
+.filters a, .bar a, .strip a { color: inherit; } .filters { margin: 8px 0 14px; }
+.filters a { margin-right: 12px; white-space: nowrap; }
+.strip a { display: block; width: 15px; height: 15px; border-radius: 4px; }
+"""
+
+
+def gallery(records: Sequence[BinRecord], pictures: str) -> str:
+    """Return the section of all picks.
+
+    Args:
+        records: Of all bins, in order.
+        pictures: Folder of their pictures, as a path relative to the page; see `relative_folder`.
+    """
+    picks = [(record, k, pick) for record in records for k, pick in enumerate(record.picks)]
+    picks.sort(key=lambda each: _rank(each[2]))
+    counts = {ALL: len(picks)}
+    for _, _, pick in picks:
+        for kind in kinds(pick):
+            counts[kind] = counts.get(kind, 0) + 1
+    style = _CSS + "".join(
+        f"#only-{kind}:target ~ .picks > figure:not(.is-{kind}) {{ display: none; }}\n"
+        for kind in counts
+        if kind != ALL
+    )
+    targets = "".join(f"<i id='only-{kind}'></i>" for kind in counts)
+    links = "".join(f"<a href='#only-{kind}'>{escape(words(kind))} ({count})</a>" for kind, count in counts.items())
+    figures = "".join(_figure(record, k, pick, pictures) for record, k, pick in picks)
+    return (
+        f"<style>{style}</style>{targets}<h2>Picks</h2><p>{NOTE}</p><p class='filters'>{links}</p>"
+        f"<div class='grid gallery picks'>{figures}</div>"
+    )
+
+
+def kinds(pick: PickRecord) -> list[str]:
+    """Return the names by which a pick can be shown: its outcome or its abstention's reason, failure, blame."""
+    names = [str(pick.outcome or pick.abstention)]
+    if pick.outcome is not None and not delivered(pick):
+        names.append("failed")
+    if pick.blame is not None:
+        names.append(f"blame-{pick.blame}")
+    return names
+
+
+def linked_bars(rows: Sequence[tuple[str, int, str]], total: int) -> str:
+    """Return horizontal bars of (kind of pick, count, class) against ``total``, linked to their picks."""
+    lines = []
+    for kind, count, colour in rows:
+        share = count / total if total else 0.0
+        name = escape(words(kind).removeprefix("blame "))
+        linked = f"<a href='#only-{kind}'>{name}</a>" if count else f"<span style='text-align:left'>{name}</span>"
+        fill = f"<div><i class='{colour}' style='width:{100 * share:.1f}%'></i></div>"
+        lines.append(f"<div class='bar'>{linked}{fill}<span>{count} · {100 * share:.1f} %</span></div>")
+    return "".join(lines) or "<p>none</p>"
+
+
+def strip(record: BinRecord) -> str:
+    """Return a bin's picks as a row of coloured squares, linked to their pictures."""
+    squares = [
+        f"<a class='{colour(pick)}' href='#{_anchor(record, k)}' title='{k}: {escape(title(pick))}'></a>"
+        for k, pick in enumerate(record.picks)
+    ]
+    return f"<div class='strip'>{''.join(squares)}</div>"
+
+
+def relative_folder(pictures: Path, page: Path) -> str:
+    """Return the folder of pictures as a page at ``page`` refers to it."""
+    return Path(os.path.relpath(pictures, page.parent)).as_posix()
+
+
+def delivered(pick: PickRecord) -> bool:
+    """Whether a pick delivered exactly one part."""
+    return pick.outcome is GraspOutcome.DELIVERED
+
+
+def colour(pick: PickRecord) -> str:
+    """Return a pick's class: good, bad or idle."""
+    return "idle" if pick.outcome is None else "good" if delivered(pick) else "bad"
+
+
+def title(pick: PickRecord) -> str:
+    """Return in words how a pick ended."""
+    return words(str(pick.outcome or pick.abstention))
+
+
+def words(kind: str) -> str:
+    """Return a kind's name for people."""
+    return kind.replace("_", " ").replace("-", " ")
+
+
+def _rank(pick: PickRecord) -> int:
+    """Order failures before abstentions before deliveries."""
+    return ("bad", "idle", "good").index(colour(pick))
+
+
+def _anchor(record: BinRecord, k: int) -> str:
+    return f"bin-{record.index}-pick-{k}"
+
+
+def _figure(record: BinRecord, k: int, pick: PickRecord, pictures: str) -> str:
+    classes = " ".join(f"is-{kind}" for kind in kinds(pick))
+    source = quote(f"{pictures}/{pick.picture}")
+    picture = f"<img alt='' loading='lazy' src='{source}'>" if pick.picture else "<p>no picture</p>"
+    blamed = "" if pick.blame is None else " " + tag(f"blame: {pick.blame}", "idle")
+    caption = f"{tag(title(pick), colour(pick))}{blamed} bin {record.index}, decision {k}{_facts(record, pick)}"
+    return f"<figure id='{_anchor(record, k)}' class='{classes}'>{picture}<figcaption>{caption}</figcaption></figure>"
+
+
+def _facts(record: BinRecord, pick: PickRecord) -> str:
+    candidate = record.candidate(pick)
+    if candidate is None:
+        frame = record.frame(pick.frame_id)
+        return "" if frame is None else f", {len(frame.candidates)} candidates"
+    return f"<br>{candidate_words(candidate)}"
+
+
+def candidate_words(candidate: CandidateRecord) -> str:
+    """Return what is known of a candidate: part, score, errors, overlap of its segment."""
+    part = "no part" if candidate.part < 0 else f"part {candidate.part}"
+    facts = [part, f"score {number(candidate.score, 2)}"]
+    if candidate.translation is not None and candidate.rotation is not None:
+        facts.append(f"off by {1000 * candidate.translation:.1f} mm, {np.degrees(candidate.rotation):.1f}°")
+    if candidate.overlap is not None:
+        facts.append(f"segment IoU {percent(candidate.overlap)}")
+    return ", ".join(facts)

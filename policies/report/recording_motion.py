@@ -1,0 +1,91 @@
+"""Where everything was, step by step: gathered while it happens, written in one piece per entity at the end."""
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from binpick_env.camera.view import visible_geoms
+from binpick_env.cell.simulation import Simulation
+from perception.geometry import Floats, quat_from_matrix
+
+STILL = 1e-5  # parts that no number of whose poses changes by as much are not written again [m, and of a quaternion]
+
+
+class Motion:
+    """Follows the robot's links, the parts in play, the jaw and the force on the robot."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        model = simulation.model
+        geoms = visible_geoms(model)
+        moving = (model.body_weldid[model.geom_bodyid[geoms]] != 0) & (simulation.part_of_geom[geoms] < 0)
+        self._bodies: NDArray[np.int64] = np.unique(model.geom_bodyid[geoms][moving]).astype(np.int64)
+        names = [model.body(int(body)).name.replace("/", "_") for body in self._bodies]
+        self.paths = {int(body): f"world/robot/{name}" for body, name in zip(self._bodies, names, strict=True)}
+        self._times: list[float] = []
+        self._links: list[Floats] = []  # (B, 7) each: position [m], wxyz
+        self._scalars: list[tuple[float, float, float]] = []
+        self._part_times: list[float] = []
+        self._parts: list[Floats] = []  # (N, 7) each, of those in play
+
+    def add(self) -> None:
+        """Remember this moment. It reads the simulation and changes nothing of it."""
+        simulation = self._simulation
+        self._times.append(simulation.time)
+        self._links.append(self._links_now())
+        push = simulation.robot_push()
+        self._scalars.append((simulation.gripper_position, simulation.gripper_target, push.force))
+        parts = self._parts_now()
+        last = self._parts[-1] if self._parts else None
+        if last is None or last.shape != parts.shape or np.any(np.abs(parts - last) > STILL):
+            self._part_times.append(simulation.time)
+            self._parts.append(parts)
+
+    def log_now(self, stream: rr.RecordingStream) -> None:
+        """Write where the robot and the parts are now, on all of the stream's timelines."""
+        for path, link in zip(self.paths.values(), self._links_now(), strict=True):
+            stream.log(path, rr.Transform3D(translation=link[:3], quaternion=np.roll(link[3:], -1)))
+        positions, quaternions, scales = drawn(self._parts_now())
+        poses = rr.InstancePoses3D(translations=positions, quaternions=quaternions, scales=scales)
+        stream.log("world/parts", poses)
+
+    def send(self, stream: rr.RecordingStream) -> None:
+        """Write all that was remembered, on the timeline ``time``."""
+        if not self._times:
+            return
+        times = rr.TimeColumn("time", duration=np.array(self._times))
+        links = np.stack(self._links)
+        for k, path in enumerate(self.paths.values()):
+            quaternions = np.roll(links[:, k, 3:], -1, axis=1)
+            stream.send_columns(
+                path, [times], rr.Transform3D.columns(translation=links[:, k, :3], quaternion=quaternions)
+            )
+        for path, values in zip(("gripper/closed", "gripper/target", "force"), np.array(self._scalars).T, strict=True):
+            stream.send_columns(path, [times], rr.Scalars.columns(scalars=values))
+        moments = [drawn(parts) for parts in self._parts]
+        positions, quaternions, scales = (np.concatenate(each) for each in zip(*moments, strict=True))
+        poses = rr.InstancePoses3D.columns(translations=positions, quaternions=quaternions, scales=scales)
+        moved = rr.TimeColumn("time", duration=np.array(self._part_times))
+        stream.send_columns("world/parts", [moved], poses.partition([len(each[0]) for each in moments]))
+
+    def _links_now(self) -> Floats:
+        data = self._simulation.data
+        return np.hstack([data.xpos[self._bodies], data.xquat[self._bodies]])
+
+    def _parts_now(self) -> Floats:
+        return pack(self._simulation.part_poses()[self._simulation.in_play])
+
+
+def pack(T_world: Floats) -> Floats:
+    """Return (N, 7) position and wxyz of (N, 4, 4) poses."""
+    return np.hstack([T_world[:, :3, 3], quat_from_matrix(T_world[:, :3, :3])])
+
+
+def drawn(poses: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return translations (N, 3), quaternions (N, 4) xyzw and scales (N, 3) at which a mesh is drawn.
+
+    Without any a viewer would draw the mesh once, at the origin: (0, 7) poses give one of size zero.
+    """
+    if len(poses) == 0:
+        return np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 3))
+    return poses[:, :3], np.roll(poses[:, 3:], -1, axis=1), np.ones((len(poses), 3))

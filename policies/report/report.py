@@ -1,0 +1,161 @@
+"""``report.html``: a page with the numbers, every bin and every pick, which shows the pictures that lie beside it."""
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+from binpick_env.jobs.report_style import bars, figure, page, table, tag, tile
+from binpick_env.jobs.text_tables import number, percent, spread
+from perception.runtime.files import write_atomically
+from policies.evaluation.conditions import conditions
+from policies.evaluation.records import BinRecord, PickRecord
+from policies.evaluation.statistics import Interval, Rate
+from policies.evaluation.summary import Summary
+from policies.grasping.outcomes import GraspOutcome
+from policies.report.gallery import colour, gallery, linked_bars, relative_folder, strip, title
+
+COLUMNS = (
+    "#",
+    "result",
+    "blame",
+    "part",
+    "width [mm]",
+    "opening [mm]",
+    "score",
+    "sense [s]",
+    "compute [s]",
+    "motion [s]",
+    "frame",
+)
+_ENDS = {"empty": "emptied", "2F": "two failures in a row", "abstained": "nothing left to try", "time": "out of time"}
+
+
+def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pictures: Path) -> None:
+    """Write the page in one piece.
+
+    Args:
+        path: Of the HTML file.
+        summary: The numbers.
+        records: Of all bins, in order.
+        pictures: Folder in which the records' pictures lie.
+    """
+    config = summary.config
+    part = Path(config["part"]).name
+    sections = [
+        f"<h1>Bin picking: {escape(part)}</h1>",
+        f"<p>{summary.bins} bins of {config['num_parts'][0]} to {config['num_parts'][1]} parts · "
+        f"perception {' · '.join(conditions(config))} · frames by {summary.camera_backend} · "
+        f"seed {summary.seed}</p>",
+        _headline(summary),
+        _sight(summary),
+        _causes(summary),
+        gallery(records, relative_folder(pictures, path)),
+        "<h2>Bins</h2>" + "".join(_bin(record, pictures) for record in records),
+        _provenance(summary),
+    ]
+    write_atomically(path, page(f"binpick: {part}", "".join(sections)))
+
+
+def _headline(summary: Summary) -> str:
+    time = summary.time
+    parts = " + ".join(f"{name} {number(time[name], 2)}" for name in ("sense", "compute", "motion")) + " s"
+    mpph, motion = summary.intervals["mpph"], summary.intervals["motion_dph"]
+    tiles = [
+        _rate_tile("GSR · grasp success", summary.gsr_rate, "attempts"),
+        _rate_tile("DR · bin emptied", summary.dr_rate, "parts"),
+        tile("MPPH · picks per hour", number(summary.mpph, 0), f"95 %: {spread(mpph)} · {parts}"),
+        tile("per hour of motion alone", number(summary.motion_dph, 0), f"95 %: {spread(motion)}"),
+    ]
+    return f"<div class='grid tiles'>{''.join(tiles)}</div>"
+
+
+def _rate_tile(name: str, rate: Rate, of: str) -> str:
+    interval = f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %"
+    bounds = None if rate.value is None else (rate.low, rate.high, rate.value)
+    return tile(name, percent(rate.value), f"{rate.successes} of {rate.n} {of} · 95 %: {interval}", bounds)
+
+
+def _sight(summary: Summary) -> str:
+    """Return what perception did on the same frames."""
+
+    def interval_tile(name: str, key: str, note: str) -> str:
+        value, interval = getattr(summary, key), summary.intervals[key]
+        bounds = None if value is None or interval is None else (*interval, value)
+        return tile(name, percent(value), f"{note}{_spread(interval)}", bounds)
+
+    ap = f"AP50 {number(summary.ap50, 3)}, AP75 {number(summary.ap75, 3)}"
+    error = f"median {number(summary.pose_error['mm'], 1)} mm, {number(summary.pose_error['deg'], 1)}°"
+    tiles = [
+        interval_tile("AP · segmentation", "ap", ap),
+        interval_tile(
+            "recognition · poses right", "candidate_pose_accuracy", f"of {summary.candidates} candidates · {error}"
+        ),
+        interval_tile("precision · of candidates", "candidate_precision", "each part once"),
+        interval_tile("recall · parts half visible", "candidate_recall", f"of {summary.parts_to_find}, frame by frame"),
+    ]
+    stages = ", ".join(f"{name} {ms:.0f}" for name, ms in summary.perception_ms.items())
+    note = f"{summary.frames} frames that were decided on" + (f"; a frame's medians [ms]: {stages}" if stages else "")
+    return f"<h2>What perception saw in them</h2><p>{note}.</p><div class='grid tiles'>{''.join(tiles)}</div>"
+
+
+def _spread(interval: Interval | None) -> str:
+    return "" if interval is None else f" · 95 %: {100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
+
+
+def _causes(summary: Summary) -> str:
+    outcomes = [(n, c, "good" if n == GraspOutcome.DELIVERED else "bad") for n, c in summary.outcomes.items()]
+    blames = [(f"blame-{name}", count, "bad") for name, count in summary.blame.items()]
+    reasons = [(name, count, "idle") for name, count in summary.abstentions.items()]
+    ends = [(name, count, "good" if name == "empty" else "idle") for name, count in summary.termination.items()]
+    remaining = summary.parts_total - summary.delivered - summary.lost
+    c = summary.clutter
+    clutter = (
+        f"Of the settled bins: median visible fraction {number(c['median'], 2)}, {percent(c['below_half'])} of "
+        f"parts under 0.5 visible, {percent(c['above_nine_tenths'])} over 0.9."
+    )
+    fate = f"{summary.delivered} delivered, {summary.lost} lost (out of play undelivered), {remaining} left in the bin."
+    left = (
+        f"<div class='card'><h3>Attempts by outcome</h3>{linked_bars(outcomes, summary.attempts)}"
+        f"<h3>Failed attempts by the stage to blame</h3>{linked_bars(blames, summary.failures)}</div>"
+    )
+    right = (
+        f"<div class='card'><h3>Abstentions by reason</h3>{linked_bars(reasons, sum(summary.abstentions.values()))}"
+        f"<h3>Bins by their end</h3>{bars(ends, summary.bins)}<h3>Parts</h3><p>{fate}</p>"
+        f"<h3>Clutter</h3><p>{clutter}</p></div>"
+    )
+    return f"<h2>Where it is won and lost</h2><div class='grid two'>{left}{right}</div>"
+
+
+def _bin(record: BinRecord, pictures: Path) -> str:
+    facts = (
+        f"seed {record.seed} · {record.delivered} of {record.parts_total} delivered, {record.lost} lost · "
+        f"{_ENDS[record.termination]} · "
+        f"median visibility {record.clutter.median:.2f} · {record.wall:.1f} s"
+    )
+    views = ""
+    if record.before or record.after:
+        pair = [figure(pictures / record.before, "settled"), figure(pictures / record.after, "at the end")]
+        views = f"<div class='grid two'>{''.join(pair)}</div>"
+    rows = [_row(k, pick) for k, pick in enumerate(record.picks)]
+    attempts = f"<details><summary>{len(rows)} decisions</summary>{table(COLUMNS, rows, words=(1, 2))}</details>"
+    head = f"<h3>Bin {record.index} <span>{facts}</span></h3>"
+    return f"<div class='card bin'>{head}{views}{strip(record)}{attempts}</div>"
+
+
+def _row(k: int, pick: PickRecord) -> list[str]:
+    def mm(length: float | None) -> str:
+        return "–" if length is None else f"{1000 * length:.1f}"
+
+    times = [f"{t:.2f}" for t in (pick.t_sense, pick.t_compute, pick.t_motion)]
+    features = ", ".join(f"{name} {value:.3g}" for name, value in pick.features.items())
+    score = f"<span title='{escape(features)}'>{number(pick.score, 2)}</span>"
+    part = "–" if pick.part < 0 else str(pick.part)
+    grasp = [part, mm(pick.width), mm(pick.opening), score]
+    return [str(k), tag(title(pick), colour(pick)), str(pick.blame or "–"), *grasp, *times, str(pick.frame_id)]
+
+
+def _provenance(summary: Summary) -> str:
+    commits = ", ".join(commit or "not in a git checkout" for commit in summary.git_commits)
+    rows = [["command", summary.command], ["commit", commits], *([k, v] for k, v in summary.versions.items())]
+    cells = [[escape(name), f"<code>{escape(value)}</code>"] for name, value in rows]
+    return f"<h2>How it was made</h2><div class='card'>{table(('what', 'value'), cells, words=(0, 1))}</div>"

@@ -1,0 +1,1 @@
+"""Grasp selection: the selection environment, rules, learned selectors."""

@@ -1,0 +1,1 @@
+"""Training of grasp selectors: MaskablePPO and a contextual bandit."""

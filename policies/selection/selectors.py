@@ -1,0 +1,224 @@
+"""Which grasp of those on offer: the heuristics, and the way to run any selector as a picker."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from binpick_env.env import BinPickEnv
+from perception.geometry import Floats
+from policies.grasping.clearance import RankSettings
+from policies.grasping.outcomes import Abstention, PickResult
+from policies.picking.episode import BinResult, run_bin
+from policies.picking.scripted import T_SENSE, Plan, ScriptedPicker
+from policies.selection.candidate_generator import PER_PART, GraspCandidates, Observation
+from policies.selection.candidate_picker import CandidatePicker
+from policies.selection.env import GraspSelectionEnv
+from policies.selection.features import RANKED, column
+
+SHIPPED = Path(__file__).resolve().parent / "shipped"
+_TIE = 1e-5  # what rounding to float32 does to a sum of features, and more; the first row wins a tie
+
+
+class Selector(Protocol):
+    """Chooses a row of ``BinPickSelect-v0``'s observation."""
+
+    def select(self, observation: Observation, rng: np.random.Generator) -> int:
+        """Return a row whose mask is 1; there is one."""
+        ...
+
+
+class RandomSelector:
+    """Any row, each as likely."""
+
+    def select(self, observation: Observation, rng: np.random.Generator) -> int:
+        """Draw a row."""
+        return int(rng.choice(_valid(observation)))
+
+
+class HighestSelector:
+    """The part whose highest point is highest."""
+
+    def select(self, observation: Observation, rng: np.random.Generator) -> int:  # noqa: ARG002
+        """Return the first row of that part."""
+        return _first_best(observation, _column(observation, "top"))
+
+
+class BestScoreSelector:
+    """The part whose pose perception is surest of; the oracle is sure of all."""
+
+    def select(self, observation: Observation, rng: np.random.Generator) -> int:  # noqa: ARG002
+        """Return the first row of that part."""
+        return _first_best(observation, _column(observation, "score"))
+
+
+class WeightedSelector:
+    """The scripted picker's weighted sum, or another one: parts on which an attempt failed come last."""
+
+    def __init__(self, weights: RankSettings | None = None) -> None:
+        """Keep the weights of ``weights``, the defaults if None; its other settings have no say here."""
+        self._weights = weights or RankSettings()
+
+    def select(self, observation: Observation, rng: np.random.Generator) -> int:  # noqa: ARG002
+        """Return the row of the largest sum."""
+        total = np.zeros(len(observation["mask"]))
+        for name in RANKED:
+            sign, kind = (-1.0, "penalty") if name in ("covered", "buried") else (1.0, "weight")
+            total += sign * getattr(self._weights, f"{kind}_{name}") * _column(observation, name)
+        return _first_best(observation, total - 10.0 * _column(observation, "suspect"))
+
+
+class LearnedSelector:
+    """A trained network's best row: the policy's likeliest action, or the grasp that is likeliest to be delivered."""
+
+    def __init__(self, path: Path) -> None:
+        """Load a ``.safetensors`` file.
+
+        Raises:
+            SelectorError: It does not hold a whole selector that was trained on these features.
+        """
+        from policies.selection.weights import load_selector_net  # torch, which the heuristics do without
+
+        self._network = load_selector_net(path)
+
+    def select(self, observation: Observation, rng: np.random.Generator) -> int:  # noqa: ARG002
+        """Return the row of the largest logit."""
+        import torch
+
+        with torch.no_grad():
+            rows, mask = (torch.from_numpy(observation[key])[None] for key in ("grasps", "mask"))
+            logits, _ = self._network(rows, mask)
+        return _first_best(observation, logits[0].double().numpy())
+
+
+SELECTORS: dict[str, Callable[[], Selector]] = {
+    "random": RandomSelector,
+    "highest": HighestSelector,
+    "best_score": BestScoreSelector,
+    "weighted": WeightedSelector,
+}
+
+
+def make_selector(name: str) -> Selector:
+    """Build the heuristic called ``name``."""
+    if name not in SELECTORS:
+        raise ValueError(f"selector must be one of {', '.join(SELECTORS)}, got {name!r}")
+    return SELECTORS[name]()
+
+
+def load_selector(spec: str) -> Selector:
+    """Build the heuristic or load the trained selector that ``spec`` names.
+
+    Args:
+        spec: Name of a heuristic, path to a ``.safetensors`` file, or the name of one of the shipped ones.
+
+    Raises:
+        ValueError: There is none such.
+    """
+    if spec in SELECTORS:
+        return SELECTORS[spec]()
+    return LearnedSelector(selector_path(spec))
+
+
+def selector_path(spec: str, *others: str) -> Path:
+    """Return the file of a trained selector.
+
+    Args:
+        spec: Path to a ``.safetensors`` file, or the name of one of the shipped ones.
+        others: What else the caller would have taken; the error names it.
+
+    Raises:
+        ValueError: There is no such file; the text names those that there are.
+    """
+    for path in (Path(spec), SHIPPED / f"{spec}.safetensors"):
+        if path.suffix == ".safetensors" and path.is_file():
+            return path
+    shipped = sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
+    known = ", ".join([*SELECTORS, *others, *shipped])
+    raise ValueError(f"a selector must be one of {known}, or the path of a .safetensors file, got {spec!r}")
+
+
+class SelectorPicker(CandidatePicker):
+    """A `policies.picking.episode.Picker` that asks a selector where the scripted picker takes its own first choice."""
+
+    def __init__(
+        self,
+        env: BinPickEnv,
+        selector: Selector,
+        picker: ScriptedPicker | None = None,
+        *,
+        per_part: int = PER_PART,
+    ) -> None:
+        """Keep the cell.
+
+        Args:
+            env: The unwrapped cell.
+            selector: Chooses.
+            picker: Ranks, plans and executes; a new one if None.
+            per_part: At most so many grasps of each part.
+        """
+        super().__init__(env, picker, per_part)
+        self._selector = selector
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last bin; what the selector draws depends on the seed of the environment's reset alone."""
+        super().reset()
+        self._rng = np.random.default_rng([abs(self._env.np_random_seed or 0), 1])
+
+    def pick(self) -> PickResult:
+        """Make one decision on the last frame: an executed attempt, or an abstention."""
+        offer, offered = self._offer()
+        started = time.perf_counter()
+        plan = self._decide(offer)
+        compute = offered + time.perf_counter() - started
+        if isinstance(plan, Abstention):
+            return PickResult(abstention=plan, t_sense=T_SENSE, t_compute=compute, frame_id=self._env.frame_id)
+        result = self._picker.execute(plan)
+        return replace(result, t_compute=compute + result.t_compute)
+
+    def _decide(self, offer: GraspCandidates) -> Plan | Abstention:
+        while offer:
+            row = self._selector.select(offer.observation(), self._rng)
+            if row not in offer.valid:
+                raise ValueError(f"the selector chose row {row}, but only {offer.valid} hold a grasp")
+            plan = self._picker.plan(offer.grasps[row])
+            if isinstance(plan, Plan):
+                return plan
+            offer = offer.without(row)
+        assert offer.reason is not None
+        return offer.reason
+
+
+def run_selector(
+    env: GraspSelectionEnv, selector: Selector, seed: int, on_pick: Callable[[PickResult], None] | None = None
+) -> BinResult:
+    """Play one episode of ``BinPickSelect-v0`` and return it as `policies.picking.episode.run_bin` does.
+
+    Args:
+        env: The unwrapped environment; its cell is reset with ``seed``.
+        selector: Chooses.
+        seed: Of the pile, the sensor noise and the selector's own draws.
+        on_pick: Called after each decision.
+    """
+    picker = SelectorPicker(env.cell, selector, env.picker, per_part=env.per_part)
+    return run_bin(env.cell, picker, seed, on_pick, max_failures=env.max_failures)
+
+
+def _valid(observation: Observation) -> NDArray[np.int64]:
+    return np.flatnonzero(observation["mask"])
+
+
+def _column(observation: Observation, name: str) -> Floats:
+    return np.asarray(observation["grasps"][:, column(name)], dtype=np.float64)
+
+
+def _first_best(observation: Observation, values: Floats) -> int:
+    """Return the first valid row of the (K,) largest value, ties included."""
+    valid = _valid(observation)
+    best = values[valid].max()
+    return int(valid[np.argmax(values[valid] >= best - _TIE)])

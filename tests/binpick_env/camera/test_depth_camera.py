@@ -1,0 +1,377 @@
+"""The depth camera: geometry against closed forms and MuJoCo's single ray, backends against each other, faults."""
+
+import importlib
+from collections.abc import Callable
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from binpick_env.camera import egl
+from binpick_env.camera.depth_camera import Capture, DepthCamera, default_pose
+from binpick_env.camera.raster import corner_normals, is_closed
+from binpick_env.camera.shading import Light
+from binpick_env.config import BinConfig, CameraConfig
+from perception.frame import Workspace
+from perception.geometry import (
+    Floats,
+    deproject_depth,
+    invert_transform,
+    make_transform,
+    project_points,
+    rotation_about,
+    transform_points,
+)
+from tests.binpick_env.camera.camera_scene import BOX, CAMERA, SPHERE, Scene, build, random_poses
+
+BACKENDS = ["rays", "raster", "egl"]
+WORKSPACE = BinConfig().workspace()
+
+
+def egl_works() -> bool:
+    try:
+        egl._gl_context(16, 16).free()
+    except RuntimeError:
+        return False
+    return True
+
+
+@pytest.fixture(scope="module", params=BACKENDS)
+def backend(request: pytest.FixtureRequest) -> str:
+    if request.param == "egl" and not egl_works():
+        pytest.skip("no EGL driver on this machine (libegl1, libgl1-mesa-dri)")
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def pile() -> Scene:
+    return build(random_poses(8, WORKSPACE, seed=1))
+
+
+def tilted(distance: float = 0.85) -> Floats:
+    """Return a camera pose that looks at the bin askew, rolled, and a little beside its centre."""
+    turn = rotation_about((1, 0, 0), 0.3) @ rotation_about((0, 1, 0), -0.2) @ rotation_about((0, 0, 1), 0.7)
+    R_bin_cam = turn @ np.diag([1.0, -1.0, -1.0])
+    return WORKSPACE.T_world_bin @ make_transform(R_bin_cam, (0.01, -0.02, 0.05) - distance * R_bin_cam[:, 2])
+
+
+def make_camera(
+    scene: Scene, config: CameraConfig = CAMERA, pose: Floats | None = None, threads: int | None = 1
+) -> DepthCamera:
+    return DepthCamera(scene.model, config, scene.workspace, scene.instance_of_geom, pose, threads=threads)
+
+
+def look(scene: Scene, backend: str = "rays", pose: Floats | None = None, **more: object) -> Capture:
+    camera = make_camera(scene, replace(CAMERA, backend=backend), pose)
+    capture = camera.capture(scene.data, np.random.default_rng(0), **{"sensor": "none", **more})
+    camera.close()
+    return capture
+
+
+# --- geometry in closed form
+
+
+def test_depth_is_along_the_optical_axis(backend: str) -> None:
+    capture = look(build(np.zeros((0, 4, 4))), backend)
+    centre, floor = (180, 240), capture.depth_true[150:210:10, 180:300:10]
+    assert capture.depth_true[centre] == pytest.approx(0.9, abs=2e-5)
+    np.testing.assert_allclose(floor, 0.9, atol=2e-5)  # also far off the axis, where the ray is longer
+    rim = project_points(capture.frame.K, np.array([[0.19, 0.0, 0.78]]))[0]
+    assert capture.depth_true[round(rim[1]), round(rim[0])] == pytest.approx(0.78, abs=2e-5)
+    assert np.all(capture.instance_ids == -1)
+
+
+@pytest.mark.parametrize("pose", [None, tilted()], ids=["above", "tilted"])
+def test_no_axis_is_flipped(backend: str, pose: Floats | None) -> None:
+    places = np.array([[0.12, 0.06, 0.05], [-0.11, 0.07, 0.02], [0.03, -0.09, 0.08]])  # no two mirror each other
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.012)
+    scene = build(np.stack([WORKSPACE.T_world_bin @ make_transform(translation=p) for p in places]), ball)
+    capture = look(scene, backend, pose)
+    T_cam_world = invert_transform(capture.frame.T_world_cam)
+    wanted = project_points(capture.frame.K, transform_points(T_cam_world, scene.T_world_parts[:, :3, 3]))
+    for i, pixel in enumerate(wanted):
+        v, u = np.nonzero(capture.instance_ids == i)
+        np.testing.assert_allclose([u.mean(), v.mean()], pixel, atol=0.3)
+
+
+def test_default_pose_looks_down_along_the_bins_axes() -> None:
+    T_bin_cam = invert_transform(WORKSPACE.T_world_bin) @ default_pose(WORKSPACE, 0.9)
+    np.testing.assert_allclose(T_bin_cam[:3, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
+    np.testing.assert_allclose(T_bin_cam[:3, 3], (0, 0, 0.9), atol=1e-12)
+
+
+def test_depth_deprojects_onto_the_floor(backend: str) -> None:
+    capture = look(build(np.zeros((0, 4, 4))), backend, tilted())
+    points = deproject_depth(capture.frame.K, capture.depth_true)[capture.depth_true > 0]
+    points_bin = WORKSPACE.to_bin(transform_points(capture.frame.T_world_cam, points))
+    inner = np.all(np.abs(points_bin[:, :2]) < WORKSPACE.inner_size[:2] / 2 - 0.005, axis=1)
+    assert inner.sum() > 5000
+    np.testing.assert_allclose(points_bin[inner, 2], 0.0, atol=5e-5)
+
+
+def test_a_sphere_has_its_depth_and_normals() -> None:
+    centre_bin, radius = np.array([0.05, 0.03, 0.06]), 0.04
+    centre_world = transform_points(WORKSPACE.T_world_bin, centre_bin[None])[0]
+    capture = look(build(np.zeros((0, 4, 4)), extra=[{"type": SPHERE, "size": [radius, 0, 0], "pos": centre_world}]))
+    centre = transform_points(invert_transform(capture.frame.T_world_cam), centre_world[None])[0]
+    rays = deproject_depth(capture.frame.K, np.ones_like(capture.depth_true))
+    square, along = np.sum(rays**2, axis=-1), rays @ centre
+    under_root = along**2 - square * (centre @ centre - radius**2)
+    hit = under_root > 1e-6
+    depth = (along - np.sqrt(np.maximum(under_root, 0))) / square
+    np.testing.assert_allclose(capture.depth_true[hit], depth[hit], atol=1e-6)
+    normals = (rays * depth[..., None] - centre) / radius
+    np.testing.assert_allclose(capture.normals[hit], normals[hit], atol=1e-3)
+
+
+# --- against MuJoCo's single ray, and backends against each other
+
+
+@pytest.mark.parametrize("pose", [None, tilted()], ids=["above", "tilted"])
+def test_rays_equal_single_rays(pile: Scene, pose: Floats | None) -> None:
+    capture = look(pile, pose=pose)
+    rng = np.random.default_rng(3)
+    u0, v0, u1, v1 = capture.region
+    eye, R = capture.frame.T_world_cam[:3, 3], capture.frame.T_world_cam[:3, :3]
+    group, geom = np.eye(6, dtype=np.uint8)[2], np.zeros(1, np.int32)
+    pixels = np.stack([rng.integers(u0, u1, 4000), rng.integers(v0, v1, 4000)], axis=1)
+    rays = np.column_stack([(pixels - capture.frame.K[:2, 2]) / capture.frame.K[0, 0], np.ones(4000)]) @ R.T
+    for (u, v), ray in zip(pixels, rays, strict=True):
+        depth = mujoco.mj_ray(pile.model, pile.data, eye, ray, group, 1, -1, geom)
+        assert capture.depth_true[v, u] == pytest.approx(max(depth, 0.0), abs=1e-6)
+        assert capture.instance_ids[v, u] == pile.instance_of_geom[geom[0]]
+
+
+@pytest.mark.parametrize("other", ["raster", "egl"])
+@pytest.mark.parametrize("pose", [None, tilted()], ids=["above", "tilted"])
+def test_backends_agree_with_rays(pile: Scene, other: str, pose: Floats | None) -> None:
+    if other == "egl" and not egl_works():
+        pytest.skip("no EGL driver on this machine (libegl1, libgl1-mesa-dri)")
+    rays, fast = look(pile, pose=pose), look(pile, other, pose)
+    same = rays.instance_ids == fast.instance_ids
+    assert np.mean(~same) < 1e-3
+    assert np.mean(np.abs(rays.depth_true - fast.depth_true) > 1e-5) < 1e-3
+    grey = np.abs(rays.frame.grey.astype(int) - fast.frame.grey)
+    assert np.mean(grey > 2) < 2e-3
+    assert len(np.unique(rays.instance_ids)) == 9
+
+
+def test_rays_do_not_depend_on_threads(pile: Scene) -> None:
+    captures = [make_camera(pile, threads=n).capture(pile.data, np.random.default_rng(5)) for n in (1, 2, 3, None)]
+    for capture in captures[1:]:
+        for name in ("depth_true", "instance_ids", "normals"):
+            np.testing.assert_array_equal(getattr(capture, name), getattr(captures[0], name))
+        np.testing.assert_array_equal(capture.frame.depth, captures[0].frame.depth)
+        np.testing.assert_array_equal(capture.frame.grey, captures[0].frame.grey)
+
+
+def test_the_seed_moves_the_depth_alone(pile: Scene) -> None:
+    camera = make_camera(pile)
+    first, again, other = (camera.capture(pile.data, np.random.default_rng(s)) for s in (7, 7, 8))
+    np.testing.assert_array_equal(first.frame.depth, again.frame.depth)
+    assert not np.array_equal(first.frame.depth, other.frame.depth)
+    np.testing.assert_array_equal(first.frame.grey, other.frame.grey)
+    np.testing.assert_array_equal(first.depth_true, other.depth_true)
+
+
+def test_a_capture_changes_neither_model_nor_data(pile: Scene) -> None:
+    before = pile.data.geom_xpos.copy(), pile.model.geom_group.copy(), pile.model.body_geomnum.copy()
+    look(pile)
+    after = pile.data.geom_xpos, pile.model.geom_group, pile.model.body_geomnum
+    for a, b in zip(before, after, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_moved_part_is_seen_where_it_went() -> None:
+    scene = build(random_poses(1, WORKSPACE, seed=2))
+    camera = make_camera(scene)
+    before = camera.capture(scene.data, np.random.default_rng(0)).instance_ids
+    scene.data.qpos[1] += 0.05
+    mujoco.mj_kinematics(scene.model, scene.data)
+    after = camera.capture(scene.data, np.random.default_rng(0)).instance_ids
+    assert abs(np.nonzero(after == 0)[1].mean() - np.nonzero(before == 0)[1].mean()) > 20
+
+
+# --- what is seen
+
+
+@pytest.mark.parametrize("hidden", [{"group": 3}, {"rgba": [1, 1, 1, 0]}], ids=["collision", "transparent"])
+def test_invisible_geoms_are_not_seen(backend: str, hidden: dict[str, object]) -> None:
+    lid = {"type": BOX, "size": [0.1, 0.1, 0.01], "pos": [0.5, 0, 0.2]}
+    open_, covered, still_open = (
+        look(build(np.zeros((0, 4, 4)), extra=extra), backend).depth_true for extra in ([], [lid], [{**lid, **hidden}])
+    )
+    assert not np.allclose(open_, covered)
+    np.testing.assert_array_equal(open_, still_open)
+
+
+def test_a_geom_beside_the_eye_does_not_hide_the_rest(backend: str) -> None:
+    # It straddles the camera's own plane, so that it has no outline in the image.
+    beside = {"type": BOX, "size": [0.05, 0.05, 0.3], "pos": [0.5, 0.5, 0.9]}
+    with_, without = (look(build(np.zeros((0, 4, 4)), extra=e), backend).depth_true for e in ([beside], []))
+    np.testing.assert_allclose(with_, without, atol=1e-6)
+
+
+def test_an_unbounded_plane_is_seen_by_rays() -> None:
+    plane = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 0.1], "pos": [0, 0, 0.05]}
+    capture = look(build(np.zeros((0, 4, 4)), extra=[plane]))
+    assert capture.depth_true[180, 240] == pytest.approx(0.9 - 0.03, abs=1e-6)
+
+
+def test_outside_the_bins_region_there_is_nothing() -> None:
+    scene = build(np.zeros((0, 4, 4)))
+    camera = make_camera(scene, replace(CAMERA, focal=1200.0))
+    capture = camera.capture(scene.data, np.random.default_rng(0), light=Light(background=17))
+    u0, v0, u1, v1 = capture.region
+    outside = np.ones((360, 480), bool)
+    outside[v0:v1, u0:u1] = False
+    assert outside.sum() > 10_000
+    assert np.all(capture.depth_true[outside] == 0)
+    assert np.all(capture.frame.grey[outside] == 17)
+    assert np.all(capture.depth_true[~outside] > 0)
+
+
+@pytest.mark.parametrize("away", [make_transform(translation=(2.0, 0, 0)), make_transform(np.diag([1.0, -1, -1]))])
+def test_a_bin_out_of_view_gives_an_empty_frame(backend: str, away: Floats, pile: Scene) -> None:
+    capture = look(pile, backend, default_pose(WORKSPACE, 0.9) @ away, sensor="good")
+    assert not capture.frame.valid.any()
+    assert np.all(capture.instance_ids == -1)
+    assert np.all(capture.frame.grey == 0)
+
+
+# --- normals and grey
+
+
+def test_a_faceted_cylinder_is_shaded_round_and_keeps_its_rim(backend: str) -> None:
+    cylinder = trimesh.creation.cylinder(radius=0.02, height=0.08, sections=32)
+    lying, standing = rotation_about((1, 0, 0), np.pi / 2), np.eye(3)
+    T = [make_transform(R, (x, 0, 0.04)) for R, x in ((lying, -0.05), (standing, 0.05))]
+    capture = look(build(WORKSPACE.T_world_bin @ np.stack(T), cylinder), backend)
+    points = deproject_depth(capture.frame.K, capture.depth_true)
+    round_ = points[..., 0] + 0.05
+    middle = (capture.instance_ids == 0) & (np.abs(points[..., 1]) < 0.03) & (np.abs(round_) < 0.018)
+    wanted = np.arcsin(round_[middle] / 0.02)
+    found = np.arctan2(capture.normals[middle][:, 0], -capture.normals[middle][:, 2])
+    assert np.max(np.abs(found - wanted)) < np.deg2rad(1.0)  # a flat facet is off by up to 5.6 degrees
+    cap = (capture.instance_ids == 1) & (capture.depth_true < 0.8201 + 1e-4)
+    assert cap.sum() > 500
+    assert np.mean(capture.normals[cap][:, 2] < -0.9999) > 0.98
+
+
+def test_normals_are_unit_and_face_the_eye(pile: Scene, backend: str) -> None:
+    capture = look(pile, backend)
+    seen = capture.depth_true > 0
+    np.testing.assert_allclose(np.linalg.norm(capture.normals[seen], axis=1), 1.0, atol=1e-5)
+    rays = deproject_depth(capture.frame.K, capture.depth_true)
+    assert np.mean(np.sum(rays * capture.normals, axis=-1)[seen] < 0) > 0.999
+    assert np.all(capture.normals[~seen] == 0)
+
+
+def test_corner_normals_of_a_box_are_its_faces_normals() -> None:
+    box = trimesh.creation.box((1, 2, 3))
+    normals = corner_normals(np.asarray(box.vertices), np.asarray(box.faces, np.int32))
+    np.testing.assert_allclose(normals, np.repeat(box.face_normals[:, None], 3, axis=1), atol=1e-6)
+    assert is_closed(np.asarray(box.faces, np.int32))
+    assert not is_closed(np.asarray(box.faces[:-1], np.int32))
+
+
+def plate_on_plate(light: Light) -> np.ndarray:
+    """Return a grey row over the rim, at column 32, of a plate that lies 4 mm thick on another."""
+    depth = np.full((64, 64), 0.9, np.float32)
+    depth[:, :32] -= 0.004
+    normals = np.zeros((64, 64, 3), np.float32)
+    normals[..., 2] = -1
+    K = np.array([[2400.0, 0, 32], [0, 2400.0, 32], [0, 0, 1]])
+    return light.shade(depth, normals, np.zeros((64, 64), np.int64), K)[32].astype(int)
+
+
+def test_occlusion_shows_the_rim_of_a_plate_on_a_plate() -> None:
+    plain, occluded = plate_on_plate(Light(occlusion=0)), plate_on_plate(Light())
+    assert abs(plain[31] - plain[32]) <= 2
+    assert occluded[31] - occluded[32] > 25
+    ramp = np.diff(occluded[32:50])
+    assert np.all((ramp >= 0) & (ramp <= 6))  # fades without a second edge
+    np.testing.assert_array_equal(occluded[:32], plain[:32])
+    np.testing.assert_array_equal(occluded[50:], plain[50:])
+
+
+def test_grey_of_a_plane_is_the_formula() -> None:
+    light = Light(to_light=(0, 0, -2), ambient=0.1, diffuse=0.6, part_albedo=0.5, falloff=1.0)
+    assert plate_on_plate(light)[60] == round(255 * 0.5 * 0.7)
+    assert plate_on_plate(light)[5] == round(255 * 0.5 * 0.7 * (0.9 / 0.896) ** 2)
+    assert plate_on_plate(replace(light, to_light=(0, 0, 1)))[60] == round(255 * 0.5 * 0.1)
+
+
+# --- faults
+
+
+def test_a_pose_that_is_not_finite_names_its_body(backend: str) -> None:
+    scene = build(random_poses(3, WORKSPACE, seed=1))
+    scene.data.geom_xpos[scene.model.geom("part_1/visual").id, 0] = np.nan
+    with pytest.raises(ValueError, match="pose of body 'part_1' is not finite"):
+        look(scene, backend)
+
+
+def _flat(scene: Scene) -> DepthCamera:
+    return DepthCamera(scene.model, CAMERA, scene.workspace, np.zeros(3, np.int64))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (_flat, r"instance_of_geom must be \(ngeom,\) = \(\d+,\), got \(3,\)"),
+        (lambda s: make_camera(s, pose=np.eye(3)), r"T_world_cam must be \(4, 4\), got \(3, 3\)"),
+        (lambda s: make_camera(s, pose=np.full((4, 4), np.nan)), "T_world_cam must be finite"),
+        (lambda s: make_camera(s, threads=0), "threads must be at least 1, got 0"),
+        (
+            lambda s: make_camera(s).capture(build(np.zeros((0, 4, 4))).data, np.random.default_rng(0)),
+            r"data has \d+ geo",
+        ),
+        (lambda s: look(s, sensor="nice"), "sensor must be one of none, good, harsh or a SensorModel, got 'nice'"),
+        (lambda _: Light(to_light=(0, 0, 0)), "to_light must be a finite vector that is not zero"),
+        (lambda _: Light(ambient=1.5), r"ambient must be in \[0, 1\], got 1.5"),
+        (lambda _: Light(radius=0), "reference and radius must be positive"),
+        (lambda _: Light(background=256), "background must be in 0 to 255, got 256"),
+        (lambda _: CameraConfig(backend="cuda"), "backend must be one of rays, egl, raster, got 'cuda'"),
+    ],
+)
+def test_mistakes_are_named(pile: Scene, call: Callable[[Scene], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call(pile)
+
+
+def test_raster_refuses_what_it_cannot_draw() -> None:
+    scene = build(np.zeros((0, 4, 4)), extra=[{"name": "ball", "type": SPHERE, "size": [0.1, 0, 0]}])
+    with pytest.raises(ValueError, match=r"'raster' draws meshes and boxes, but there are ball \(sphere\); use 'rays'"):
+        look(scene, "raster")
+
+
+def test_egl_without_a_driver_names_the_alternative(pile: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: str) -> None:
+        raise AttributeError("'NoneType' object has no attribute 'eglQueryString'")
+
+    monkeypatch.setattr(importlib, "import_module", broken)
+    with pytest.raises(RuntimeError, match=r"needs a working EGL driver .* 'rays' and 'raster' need no GL"):
+        look(pile, "egl")
+
+
+def test_two_egl_cameras_take_turns(pile: Scene) -> None:
+    if not egl_works():
+        pytest.skip("no EGL driver on this machine (libegl1, libgl1-mesa-dri)")
+    empty = build(np.zeros((0, 4, 4)))
+    config = replace(CAMERA, backend="egl")
+    cameras = {True: make_camera(pile, config), False: make_camera(empty, config)}
+    for full in (True, False, True):
+        scene = pile if full else empty
+        capture = cameras[full].capture(scene.data, np.random.default_rng(0))
+        assert (capture.instance_ids >= 0).any() == full
+    for camera in cameras.values():
+        camera.close()
+        camera.close()
+
+
+def test_workspace_of_another_pose_moves_the_camera() -> None:
+    shifted = Workspace(T_world_bin=make_transform(translation=(1.0, 2.0, 3.0)), inner_size=np.array([0.3, 0.2, 0.1]))
+    np.testing.assert_allclose(default_pose(shifted, 0.5)[:3, 3], (1.0, 2.0, 3.5))

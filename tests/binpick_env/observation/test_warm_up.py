@@ -1,0 +1,87 @@
+"""Nothing is compiled or loaded while the first frame is timed."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from binpick_env.config import CellConfig
+from binpick_env.observation import pixel_perceiver
+from binpick_env.observation.observed_candidates import ObservedCandidates
+from binpick_env.observation.perceiver import LabelledCapture
+from binpick_env.observation.warm_up import warm_up_capture
+from binpick_env.parts import load_part
+from perception.geometry import make_transform, rotation_about, transform_points
+from perception.part import PartModel
+from tests.binpick_env.observed_cell import cell
+
+WORKSPACE = CellConfig().bin.workspace()
+
+# In a process of its own: in this one, other tests have called the kernels.
+FIRST_FRAME = """
+import sys
+from numba.core.dispatcher import Dispatcher
+from binpick_env.env import BinPickEnv
+
+def versions():
+    modules = [(name, module) for name, module in sys.modules.items() if name.startswith(("perception", "binpick_env"))]
+    found = {f"{name}.{key}": value for name, module in modules for key, value in vars(module).items()}
+    return {name: len(value.signatures) for name, value in found.items() if isinstance(value, Dispatcher)}
+
+env = BinPickEnv("tee", 3, perception=sys.argv[1], threads=1)
+before = versions()
+env.reset(seed=31)
+after = versions()
+late = {name for name, count in after.items() if count != before.get(name)}
+print(len(env.candidates), sum(after.values()), *sorted(late))
+"""
+
+
+@pytest.mark.parametrize("perception", ["gt_masks", "learned"])
+def test_no_kernel_is_compiled_in_the_first_frame(perception: str) -> None:
+    command = [sys.executable, "-c", FIRST_FRAME, perception]
+    run = subprocess.run(command, env=os.environ, capture_output=True, text=True, check=True)
+    candidates, compiled, *late = run.stdout.split()
+    assert int(candidates) == 3
+    assert int(compiled) > 20
+    assert late == []
+
+
+def test_two_parts_lie_on_the_floor_in_the_middle_of_the_bin() -> None:
+    part = load_part("tee").model
+    view = warm_up_capture(part, WORKSPACE)
+    ids, depth = view.capture.instance_ids, view.capture.depth_true
+    assert set(np.unique(ids)) == {-1, 0, 1}
+    assert np.all(view.visible_fractions > 0.5)
+    for n, T_world_part in enumerate(view.T_world_parts):
+        assert np.allclose(T_world_part[:3, :3].T @ T_world_part[:3, :3], np.eye(3))
+        points_bin = WORKSPACE.to_bin(transform_points(T_world_part, np.asarray(part.mesh.vertices)))
+        assert points_bin[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+        assert np.all(np.abs(points_bin[:, :2]) < WORKSPACE.inner_size[:2] / 2)
+        assert 0.9 - depth[ids == n].min() == pytest.approx(points_bin[:, 2].max(), abs=0.003)  # as the camera sees it
+    assert depth[ids == -1].max() == pytest.approx(0.9, abs=1e-6)  # the floor
+
+
+def test_a_rehearsal_takes_any_part_in_any_bin() -> None:
+    large = PartModel.from_mesh("beam", trimesh.creation.box((0.5, 0.02, 0.02)))
+    turned = make_transform(rotation_about((0, 0, 1), 0.4), (0.3, 0.2, 0.1))
+    view = warm_up_capture(large, type(WORKSPACE)(T_world_bin=turned, inner_size=np.array([0.2, 0.1, 0.05])))
+    assert set(np.unique(view.capture.instance_ids)) == {-1, 0, 1}
+    np.testing.assert_array_equal(warm_up_capture(large, view.workspace).capture.frame.depth, view.capture.frame.depth)
+
+
+def test_only_the_first_perceiver_of_its_way_rehearses(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[LabelledCapture] = []
+
+    def perceive(_: object, view: LabelledCapture, __: np.random.Generator) -> ObservedCandidates:
+        looks.append(view)
+        return ObservedCandidates(candidates=[])
+
+    monkeypatch.setattr(pixel_perceiver, "_warmed_up", set())
+    monkeypatch.setattr(pixel_perceiver.PixelPerceiver, "perceive", perceive)
+    for perception, count in (("gt_masks", 1), ("gt_masks", 1), ("learned", 2), ("gt_masks", 2)):
+        cell(perception=perception)
+        assert len(looks) == count

@@ -1,0 +1,26 @@
+"""The standard bin is as cluttered as it is documented to be."""
+
+import numpy as np
+import pytest
+
+from binpick_env.config import CameraConfig
+from binpick_env.env import BinPickEnv
+from binpick_env.parts import CATALOGUE
+
+BINS = 8
+NOISE = 0.06  # of a share of some 200 parts, which are not independent within a bin
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", CATALOGUE)
+def test_the_standard_bin_is_cluttered(part: str) -> None:
+    env = BinPickEnv(part=part, perception="oracle", camera=CameraConfig(width=320, height=240))
+    fractions = []
+    for seed in range(BINS):
+        env.reset(seed=seed)
+        fractions.append(env.labelled_capture.visible_fractions[env.simulation.in_play])
+    env.close()
+    seen = np.concatenate(fractions)
+    assert len(seen) >= 20 * BINS
+    assert np.mean(seen < 0.5) >= 0.20 - NOISE
+    assert np.mean(seen > 0.9) <= 0.40 + NOISE

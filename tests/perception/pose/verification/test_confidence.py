@@ -1,0 +1,97 @@
+"""The chance that a pose is right, by hand."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from perception.pose.verification.confidence import ConfidenceConfig, coefficients, confidence, predictors
+from perception.pose.verification.verification import Verdict
+
+VERDICT = Verdict(edge_score=0.5, explained=0.25, support=0.75, violation=0.125, measured=0.9, evidence=1.0)
+HELD = 1.5  # how firmly
+PLAIN = ConfidenceConfig(
+    bias=-1.0, edge_score=2.0, support=-2.0, violation=-8.0, margin=0.5, firmness=-1.5, size=0.25, clear=3.0
+)
+NAMES = ("edge_score", "support", "violation", "margin", "firmness", "size")
+
+
+def logistic(x: float) -> float:
+    return float(1 / (1 + np.exp(-x)))
+
+
+def test_it_is_the_logistic_of_a_weighted_sum() -> None:
+    without_size = -1.0 + 1.0 - 1.5 - 1.0 + 0.5 * 2.0 - 1.5 * 1.5
+    assert confidence(VERDICT, 2.0, HELD, 1, PLAIN) == pytest.approx(logistic(without_size))
+    assert confidence(VERDICT, 2.0, HELD, 100, PLAIN) == pytest.approx(logistic(without_size + 0.25 * np.log(100)))
+
+
+def test_a_clear_margin_is_clear() -> None:
+    def sure(margin: float, config: ConfidenceConfig = PLAIN) -> float:
+        return confidence(VERDICT, margin, HELD, 50, config)
+
+    assert sure(2.9) < sure(3.0)
+    assert sure(40.0) == sure(np.inf) == sure(3.0)
+    assert sure(-np.inf) == sure(-3.0) < sure(-2.9)
+    assert sure(2.0, replace(PLAIN, clear=1.5)) == sure(1.5)
+
+
+def test_a_clear_hold_is_clear() -> None:
+    firm = replace(PLAIN, firmness=1.0)
+
+    def sure(firmness: float, config: ConfidenceConfig = firm) -> float:
+        return confidence(VERDICT, 0.5, firmness, 50, config)
+
+    assert sure(2.9) < sure(3.0)
+    assert sure(40.0) == sure(np.inf) == sure(3.0)
+    assert sure(-np.inf) == sure(-3.0) < sure(-2.9)
+    assert sure(2.0, replace(firm, clear=1.0)) == sure(1.0)
+
+
+def test_predictors_and_coefficients_are_in_one_order() -> None:
+    assert predictors(VERDICT, 2.0, HELD, 7, 3.0) == (0.5, 0.75, 0.125, 2.0, 1.5, np.log(7))
+    assert coefficients(PLAIN) == (2.0, -2.0, -8.0, 0.5, -1.5, 0.25)
+    assert tuple(f.name for f in fields(PLAIN) if f.name not in ("bias", "clear")) == NAMES
+    for name in NAMES:
+        changed = coefficients(replace(PLAIN, **{name: 99.0}))
+        (place,) = np.flatnonzero(np.array(changed) == 99.0)
+        only = dict.fromkeys((f.name for f in fields(PLAIN)), 0.0) | {name: 1.0, "clear": 3.0}
+        value = predictors(VERDICT, 2.0, HELD, 7, 3.0)[place]
+        assert confidence(VERDICT, 2.0, HELD, 7, ConfidenceConfig(**only)) == pytest.approx(logistic(value)), name
+
+
+def test_what_speaks_for_a_pose_makes_it_surer_and_what_speaks_against_it_does_not() -> None:
+    sure = confidence(VERDICT, 1.0, HELD, 60)
+    assert 0 < sure < 1
+    assert confidence(replace(VERDICT, edge_score=1.0, support=1.0), 1.0, HELD, 60) > sure
+    assert confidence(replace(VERDICT, violation=0.5), 1.0, HELD, 60) < sure
+    assert confidence(VERDICT, 0.0, HELD, 60) < sure < confidence(VERDICT, 2.0, HELD, 60)
+    assert confidence(VERDICT, 1.0, HELD, 20) < sure < confidence(VERDICT, 1.0, HELD, 200)
+    assert confidence(VERDICT, 1.0, 0.5, 60) < sure < confidence(VERDICT, 1.0, 2.5, 60)
+
+
+def test_extremes_stay_in_bounds() -> None:
+    for bias in (-1e6, 1e6):
+        assert confidence(VERDICT, 0.0, HELD, 10, replace(PLAIN, bias=bias)) == (bias > 0)
+
+
+@pytest.mark.parametrize(
+    ("margin", "firmness", "size"), [(1.0, 2.0, 0), (1.0, 2.0, -3), (np.nan, 2.0, 10), (1.0, np.nan, 10)]
+)
+def test_nonsense_is_refused(margin: float, firmness: float, size: int) -> None:
+    text = f"size must be at least 1, margin and firmness numbers, got {size}, {margin} and {firmness}"
+    with pytest.raises(ValueError, match=text):
+        confidence(VERDICT, margin, firmness, size)
+
+
+@pytest.mark.parametrize("name", ["bias", *NAMES])
+def test_a_coefficient_that_is_no_number_is_refused(name: str) -> None:
+    for nonsense in (np.nan, np.inf):
+        with pytest.raises(ValueError, match=f"{name} must be finite, got {nonsense}"):
+            replace(PLAIN, **{name: nonsense})
+
+
+@pytest.mark.parametrize("clear", [0.0, -1.0, np.nan, np.inf])
+def test_a_margin_that_is_never_or_always_clear_is_refused(clear: float) -> None:
+    with pytest.raises(ValueError, match=f"clear must be positive, got {clear}"):
+        replace(PLAIN, clear=clear)

@@ -1,0 +1,49 @@
+"""A file is whole or absent, whatever happens while it is written."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perception.runtime.files import json_text, replace_atomically, write_atomically
+
+
+def test_nan_becomes_null_however_deep() -> None:
+    values = {"a": float("nan"), "b": [1.5, (np.float64("nan"), "x")], "c": {"d": None, "e": True}}
+    assert json.loads(json_text(values)) == {"a": None, "b": [1.5, [None, "x"]], "c": {"d": None, "e": True}}
+
+
+def test_infinity_is_no_json() -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        json_text({"a": float("inf")})
+
+
+def test_a_file_is_written_with_its_folders_and_no_draft_is_left(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "deep" / "note.txt"
+    write_atomically(path, "one")
+    write_atomically(path, "two")
+    assert path.read_text() == "two"
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("error", [OSError("No space left on device"), KeyboardInterrupt()])
+def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path, error: BaseException) -> None:
+    path = tmp_path / "note.txt"
+    path.write_text("old")
+
+    def half(draft: Path) -> None:
+        draft.write_text("ne")
+        assert path.read_text() == "old"  # nobody meets the draft under the file's name
+        raise error
+
+    with pytest.raises(type(error)):
+        replace_atomically(path, half)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_writer_that_writes_nothing_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        replace_atomically(tmp_path / "note.txt", lambda draft: None)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,102 @@
+"""Arrays in, instances out: all points of a frame, in whatever order, and bad input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from perception.instance import labels_of
+from perception.metrics.average_precision import ap_summary
+from perception.segmentation.grouping.similarity import GroupingConfig
+from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
+from perception.segmentation.networks.output import PointOutputs
+from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
+from perception.segmentation.predictor import PredictorConfig, SegmentationPredictor
+from perception.segmentation.scoring import score_scene
+from tests.perception.disc_scene import D_MAX, disc_scene
+
+SMALL = GridNetConfig(widths=(4, 5, 6, 7, 8), hidden=9, embedding=3)
+CLOUD = SgpnConfig(trunk="dgcnn", k=4, global_width=8, embedding=5, branch=6)
+
+
+def predictor(config: GridNetConfig | SgpnConfig, **settings: object) -> SegmentationPredictor:
+    torch.manual_seed(0)
+    network = GridNet(config) if isinstance(config, GridNetConfig) else Sgpn(config)
+    return SegmentationPredictor(network, PredictorConfig(**settings), device="cpu")
+
+
+def test_votes_that_meet_at_the_centres_are_the_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = disc_scene(points_each=200)
+    teller = predictor(SMALL, grouping=GroupingConfig(min_points=20))
+
+    def perfect(inputs) -> PointOutputs:
+        ids = torch.from_numpy(scene.instance_ids)
+        votes = torch.from_numpy(scene.centres_cam / D_MAX)[ids].float()
+        votes[ids < 0] = inputs.points_BN3[0, ids < 0] + 40.0
+        confidence = torch.full(ids.shape, 0.9)
+        return PointOutputs(50 * votes[None], confidence[None], torch.zeros(1, len(ids), 1), votes[None])
+
+    monkeypatch.setattr(teller, "network", perfect)
+    monkeypatch.setattr("perception.segmentation.predictor.GridNet", type(perfect))
+    instances = teller.predict(scene.boundary, scene.surface, scene.d_max)
+    assert ap_summary([score_scene(scene, instances)]).ap == 1.0
+    assert [round(instance.score, 3) for instance in instances][: len(scene.centres_cam)] == [0.9] * 6
+
+
+@pytest.mark.parametrize("config", [SMALL, CLOUD], ids=["grid", "cloud"])
+def test_every_point_is_described_and_a_second_look_says_the_same(config: GridNetConfig | SgpnConfig) -> None:
+    scene, teller = disc_scene(), predictor(config, subset=300)
+    said = teller.describe(scene.boundary, scene.surface, scene.d_max)
+    assert len(said.embedding) == len(said.confidence) == len(scene.boundary)
+    assert np.isfinite(said.embedding).all()
+    again = teller.describe(scene.boundary, scene.surface, scene.d_max)
+    np.testing.assert_array_equal(said.embedding, again.embedding)
+
+
+def test_the_order_of_the_points_changes_nothing() -> None:
+    scene, teller = disc_scene(), predictor(SMALL, bf16=False)
+    order = np.random.default_rng(0).permutation(len(scene.boundary))
+    straight = labels_of(teller.predict(scene.boundary, scene.surface, D_MAX), len(order))
+    mixed = labels_of(teller.predict(scene.boundary.only(order), scene.surface, D_MAX), len(order))
+    np.testing.assert_array_equal(straight[order], mixed)
+
+
+def test_subsets_cover_the_cloud_evenly() -> None:
+    scene, teller = disc_scene(), predictor(CLOUD, subset=300)
+    sizes: list[int] = []
+    forward = teller.network.forward
+    teller.network.forward = lambda points: (sizes.append(points.shape[1]), forward(points))[1]  # type: ignore[method-assign]
+    teller.describe(scene.boundary, scene.surface, D_MAX)
+    assert sum(sizes) == len(scene.boundary) == 980
+    assert sizes == [245] * 4
+
+
+@pytest.mark.parametrize("config", [SMALL, CLOUD], ids=["grid", "cloud"])
+def test_too_few_points_have_no_instances(config: GridNetConfig | SgpnConfig) -> None:
+    scene, teller = disc_scene(), predictor(config)
+    for count in (0, 1, 3):
+        few = scene.only(np.arange(len(scene.boundary)) < count)
+        assert teller.predict(few.boundary, scene.surface, D_MAX) == []
+
+
+def test_one_giant_instance_is_cut_to_the_parts_size() -> None:
+    scene = disc_scene(parts=1, points_each=900, void=0)
+    # To the network, all points are one.
+    teller = predictor(SMALL, grouping=GroupingConfig(threshold=1e6, min_points=20))
+    instances = teller.predict(scene.boundary, scene.surface, D_MAX / 4)  # a model of a quarter of the true size
+    assert instances
+    for instance in instances:
+        points = scene.boundary.points_cam[instance.point_idx]
+        assert np.ptp(points, axis=0).max() < D_MAX / 4 * 1.1
+
+
+def test_nonsense_is_named() -> None:
+    scene, teller = disc_scene(), predictor(SMALL)
+    for size in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="d_max must be positive and finite"):
+            teller.predict(scene.boundary, scene.surface, size)
+    with pytest.raises(ValueError, match="subset must be at least 1, got 0"):
+        PredictorConfig(subset=0)
+    with pytest.raises(ValueError, match="points_cam must be finite"):
+        replace(scene.boundary, points_cam=np.full((len(scene.boundary), 3), np.nan))

@@ -1,0 +1,49 @@
+"""The compiled kernels never reach beyond an array: their tests pass where numba checks every index."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+POSE_TESTS = Path(__file__).parent / "pose"
+KERNELS = (
+    "hypotheses/test_voting",
+    "selection/test_bodies",
+    "verification/test_descent",
+    "verification/test_verification_kernels",
+    "model/test_thinning",
+)
+OUT_OF_BOUNDS = """
+import numpy as np
+from numba import njit
+
+@njit
+def read(values, k):
+    return values[k]
+
+read(np.zeros(3), 3)
+"""
+
+
+@pytest.fixture
+def checked(tmp_path: Path) -> dict[str, str]:
+    """Return an environment with the check on; numba's own cache does not tell checked code from unchecked."""
+    return {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+
+
+def test_the_check_sees_an_index_out_of_bounds(checked: dict[str, str]) -> None:
+    done = subprocess.run([sys.executable, "-c", OUT_OF_BOUNDS], env=checked, capture_output=True, text=True)
+    assert done.returncode != 0
+    assert "IndexError" in done.stderr
+
+
+@pytest.mark.slow
+def test_the_kernels_pass_their_tests_with_every_index_checked(checked: dict[str, str]) -> None:
+    files = [str(POSE_TESTS / f"{name}.py") for name in KERNELS]
+    options = ["-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", "-m", "not slow"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, *files], env=checked, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr

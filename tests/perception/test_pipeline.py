@@ -1,0 +1,217 @@
+"""From a frame to poses, with a predictor that knows the groups."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from perception import pipeline as module
+from perception.boundary import BoundaryCloud, extract_boundary
+from perception.frame import Frame, Workspace
+from perception.geometry import Floats, make_transform, rotation_about, transform_points
+from perception.instance import Instance, labels_of
+from perception.metrics.pose_error import pose_error
+from perception.pipeline import STAGES, Perception, Pipeline, perceive_by
+from perception.pose.estimator import PoseEstimator
+from perception.segmentation.predictor import SegmentationPredictor
+from perception.segmentation.surface import Surface
+from perception.segmentation.weights import WeightsError
+from tests.perception.pose import observed_part as at
+from tests.perception.pose.estimator_scene import quick_estimator
+
+ELL = at.ell()
+ESTIMATOR = quick_estimator(ELL)
+ON_BLOCK = trimesh.sample.sample_surface(ELL.mesh, 20_000, seed=0)[0]
+OVER = rotation_about((1.0, 0.0, 0.0), np.pi)
+BIN = Workspace(T_world_bin=make_transform(OVER, (0.0, 0.0, at.FLOOR)), inner_size=np.array([0.4, 0.3, 0.1]))
+
+
+def lying(x: float, y: float, angle: float) -> Floats:
+    """Return the pose of a block on the bin's floor."""
+    rotation = rotation_about((0.0, 0.0, 1.0), angle) @ rotation_about((1.0, 0.3, 0.0), 0.35) @ OVER
+    return make_transform(rotation, np.array([x, y, at.FLOOR - 0.025]) - rotation @ ELL.centre)
+
+
+POSES = lying(-0.027, 0.0, 1.45), lying(0.025, 0.0, 4.6)
+
+
+def photographed(*poses: Floats) -> Frame:
+    """Return the depth of blocks in the bin, and their grey by how they are turned to the light."""
+    frame = at.look_at(*(at.placed(ELL, T) for T in poses), noise=0.0002)
+    grey = np.full(frame.grey.shape, 60, np.uint8)
+    if poses:
+        mesh = trimesh.util.concatenate([at.placed(ELL, T) for T in poses])
+        v, u = (a.ravel() for a in np.indices(grey.shape))
+        rays = np.column_stack([(u - at.K[0, 2]) / at.K[0, 0], (v - at.K[1, 2]) / at.K[1, 1], np.ones(u.size)])
+        face = mesh.ray.intersects_first(np.zeros_like(rays), rays).reshape(grey.shape)
+        shades = np.clip(150 + 100 * mesh.face_normals @ np.array([0.8, 0.5, -0.3]), 90, 250)
+        grey[face >= 0] = shades[face[face >= 0]].astype(np.uint8)
+    return replace(frame, grey=grey)
+
+
+def owners(boundary: BoundaryCloud, *poses: Floats) -> np.ndarray:
+    """Return (N,) the block that each boundary point lies on, -1 for none."""
+    gaps = [cKDTree(transform_points(T, ON_BLOCK)).query(boundary.points_cam)[0] for T in poses]
+    return np.where(np.min(gaps, axis=0) < 0.003, np.argmin(gaps, axis=0), -1)
+
+
+class KnowingPredictor(SegmentationPredictor):
+    """Gives the groups that it was told, and keeps what it was asked."""
+
+    def __init__(self, groups: Callable[[BoundaryCloud], list[Instance]]) -> None:
+        self.groups = groups
+        self.asked: list[tuple[BoundaryCloud, Surface, float]] = []
+
+    def predict(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> list[Instance]:
+        self.asked.append((boundary, surface, d_max))
+        return self.groups(boundary) if len(boundary) else []
+
+
+def true_groups(boundary: BoundaryCloud) -> list[Instance]:
+    owner = owners(boundary, *POSES)
+    return [Instance(point_idx=np.flatnonzero(owner == k), score=0.9 - 0.1 * k) for k in range(len(POSES))]
+
+
+def one_group(boundary: BoundaryCloud) -> list[Instance]:
+    return [Instance(point_idx=np.arange(len(boundary)), score=0.9)]
+
+
+PREDICTOR = KnowingPredictor(true_groups)
+FRAME = photographed(*POSES)
+SEEN = Pipeline(PREDICTOR, ESTIMATOR, BIN).perceive(FRAME)
+
+
+def assert_poses(seen: Perception) -> None:
+    assert sorted(pose.instance_idx for pose in seen.poses) == [0, 1]
+    for pose in seen.poses:
+        error = pose_error(pose.T_cam_part, POSES[pose.instance_idx], ELL)
+        assert error.translation < 0.001
+        assert np.degrees(error.rotation) < 1.0
+
+
+def test_a_frame_becomes_points_groups_and_poses() -> None:
+    expected = extract_boundary(FRAME, BIN)
+    np.testing.assert_array_equal(SEEN.boundary.points_cam, expected.points_cam)
+    assert len(expected) > 500
+    owner = owners(SEEN.boundary, *POSES)
+    for k, segment in enumerate(SEEN.segments):
+        assert segment.point_idx.tolist() == np.flatnonzero(owner == k).tolist()
+        assert len(segment.point_idx) > 200
+    assert_poses(SEEN)
+    scores = [pose.score for pose in SEEN.poses]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_the_predictor_sees_the_whole_frame_in_cells_of_the_part() -> None:
+    (boundary, surface, d_max) = PREDICTOR.asked[0]
+    assert boundary is SEEN.boundary
+    assert d_max == ELL.d_max
+    assert surface.depth.max() == pytest.approx(at.FLOOR, abs=0.001)
+    assert surface.depth[surface.depth > 0].min() == pytest.approx(FRAME.depth.min(), abs=0.003)
+
+
+def test_any_segmentation_goes_the_same_way_to_poses() -> None:
+    seen = perceive_by(true_groups, ESTIMATOR, FRAME, BIN)
+    assert_poses(seen)
+    assert [pose.T_cam_part.tobytes() for pose in seen.poses] == [pose.T_cam_part.tobytes() for pose in SEEN.poses]
+    assert tuple(seen.ms) == STAGES
+
+
+def test_every_segment_has_its_best_pose_verified_or_not() -> None:
+    assert [estimate.instance_idx for estimate in SEEN.estimates if estimate is not None] == [0, 1]
+    strict = quick_estimator(ELL, replace(ESTIMATOR.config, min_score=1.0))
+    seen = Pipeline(PREDICTOR, strict, BIN).perceive(FRAME)
+    assert seen.poses == []
+    assert [estimate.score for estimate in seen.estimates if estimate is not None] == [
+        estimate.score for estimate in SEEN.estimates if estimate is not None
+    ]
+
+
+def test_every_stage_is_timed() -> None:
+    assert tuple(SEEN.ms) == STAGES
+    assert all(0 <= ms < 60_000 for ms in SEEN.ms.values())
+    assert sum(SEEN.ms.values()) > 0.1
+
+
+def test_poses_put_the_groups_right() -> None:
+    """One point in five has the other block's group; in the end few have."""
+    rng = np.random.default_rng(0)
+
+    def mixed(boundary: BoundaryCloud) -> list[Instance]:
+        owner = owners(boundary, *POSES)
+        swapped = np.where((rng.random(len(owner)) < 0.2) & (owner >= 0), 1 - owner, owner)
+        return [Instance(point_idx=np.flatnonzero(swapped == k), score=0.9) for k in range(2)]
+
+    seen = Pipeline(KnowingPredictor(mixed), ESTIMATOR, BIN).perceive(FRAME)
+    truth = owners(seen.boundary, *POSES)
+    before, after = (labels_of(groups, len(truth)) for groups in (seen.segments, seen.instances))
+    assert np.mean(before == truth) < 0.85
+    assert len(seen.instances) == 2
+    pairs = {(a, b): np.count_nonzero((after == a) & (truth == b)) for a in range(2) for b in range(2)}
+    right = max(pairs[0, 0] + pairs[1, 1], pairs[0, 1] + pairs[1, 0])
+    assert right > 0.9 * np.count_nonzero(truth >= 0)
+
+
+def test_one_group_of_two_blocks_has_at_most_one_pose() -> None:
+    seen = Pipeline(KnowingPredictor(one_group), ESTIMATOR, BIN).perceive(FRAME)
+    assert len(seen.segments) == 1
+    assert len(seen.poses) <= 1
+    assert len(seen.instances) > 0
+
+
+def test_nothing_comes_of_nothing() -> None:
+    dark = Frame(grey=FRAME.grey, depth=np.zeros_like(FRAME.depth), K=FRAME.K, T_world_cam=FRAME.T_world_cam)
+    for frame in (photographed(), dark):
+        seen = Pipeline(KnowingPredictor(one_group), ESTIMATOR, BIN).perceive(frame)
+        assert len(seen.boundary) == 0
+        assert (seen.segments, seen.poses, seen.instances) == ([], [], [])
+        assert tuple(seen.ms) == STAGES
+
+
+def test_without_groups_there_are_no_poses() -> None:
+    seen = Pipeline(KnowingPredictor(lambda boundary: []), ESTIMATOR, BIN).perceive(FRAME)
+    assert len(seen.boundary) > 500
+    assert (seen.poses, seen.instances) == ([], [])
+
+
+def test_only_verified_poses_are_given() -> None:
+    strict = quick_estimator(ELL, replace(ESTIMATOR.config, min_score=1.0))
+    seen = Pipeline(PREDICTOR, strict, BIN).perceive(FRAME)
+    assert seen.poses == []
+    assert len(seen.instances) == 2  # a pose that is not sure enough to act on still tells points apart
+
+
+def test_the_same_frame_gives_the_same_bits() -> None:
+    again = Pipeline(PREDICTOR, ESTIMATOR, BIN).perceive(FRAME)
+    assert [p.T_cam_part.tobytes() for p in again.poses] == [p.T_cam_part.tobytes() for p in SEEN.poses]
+    for a, b in zip(again.instances, SEEN.instances, strict=True):
+        assert a.point_idx.tobytes() == b.point_idx.tobytes()
+
+
+def test_a_pipeline_for_a_part_has_its_weights_and_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[object] = []
+
+    def for_part(part: str) -> SegmentationPredictor:
+        asked.append(part)
+        return PREDICTOR
+
+    def estimator(part: object, *, workspace: object) -> PoseEstimator:
+        asked.extend([part, workspace])
+        return ESTIMATOR
+
+    monkeypatch.setattr(SegmentationPredictor, "for_part", for_part)
+    monkeypatch.setattr(module, "PoseEstimator", estimator)
+    made = Pipeline.for_part(ELL, BIN)
+    assert asked == ["ell", ELL, BIN]
+    assert (made.predictor, made.estimator, made.workspace) == (PREDICTOR, ESTIMATOR, BIN)
+    assert_poses(made.perceive(FRAME))
+
+
+def test_a_part_without_weights_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
+    with pytest.raises(WeightsError, match="ell"):
+        Pipeline.for_part(ELL, BIN)

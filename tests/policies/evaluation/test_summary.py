@@ -1,0 +1,170 @@
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from binpick_env.jobs.text_tables import columns
+from perception.metrics.intervals import wilson_interval
+from perception.runtime.files import json_text
+from policies.evaluation.bin_evaluation import EvaluationConfig
+from policies.evaluation.frame_record import CandidateRecord, FrameRecord
+from policies.evaluation.records import BinRecord
+from policies.evaluation.summary import Summary, summarise
+from policies.evaluation.tables import result_table
+from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
+from tests.policies.fake_cell import abstain, attempt, bin_result
+
+CONFIG = EvaluationConfig()
+DELIVERED, MISSED = GraspOutcome.DELIVERED, GraspOutcome.MISSED
+RATES = {"gsr", "dr", "mpph", "ap", "ap50", "ap75", "candidate_pose_accuracy", "intervals"}
+SIGHT = {"candidate_precision", "candidate_recall", "candidates", "pose_error", "blame", "frames", "perception_ms"}
+COUNTS = {"attempts", "successes", "parts_total", "delivered", "lost", "abstentions", "termination", "outcomes"}
+CONTRACT = RATES | COUNTS | SIGHT | {"time", "clutter", "camera_backend", "versions"}
+
+
+def record(index: int, *picks: PickResult, parts: int = 10, lost: int = 0) -> BinRecord:
+    facts = {"config_hash": CONFIG.digest(), "index": index, "wall": 12.0, "settle": 2.0, "render": 3.0}
+    return BinRecord.from_result(bin_result(*picks, parts=parts, lost=lost), [""] * len(picks), **facts)
+
+
+@pytest.fixture
+def records() -> list[BinRecord]:
+    first = record(0, attempt(DELIVERED), attempt(DELIVERED), abstain(), attempt(MISSED, t_motion=2.0))
+    return [first, record(1, attempt(DELIVERED), abstain(Abstention.IK_INFEASIBLE), parts=30)]
+
+
+def seen(*right: bool, overlap: float | None = None) -> FrameRecord:
+    """A frame with one candidate each, on as many parts."""
+    candidates = [
+        CandidateRecord(part=k, score=0.9, right=good, found=k if good else -1, overlap=overlap)
+        for k, good in enumerate(right)
+    ]
+    return FrameRecord(frame_id=-1, visible_fractions=(1.0,) * len(right), candidates=tuple(candidates))
+
+
+def sum_up(records: list[BinRecord]) -> Summary:
+    return summarise(records, CONFIG, np.random.default_rng(0))
+
+
+def test_rates_are_pooled_over_the_bins(records: list[BinRecord]) -> None:
+    summary = sum_up(records)
+    assert (summary.successes, summary.attempts, summary.delivered, summary.parts_total) == (3, 4, 3, 40)
+    assert summary.gsr == 0.75
+    assert summary.dr == 3 / 40
+    assert summary.intervals["gsr"] == wilson_interval(3, 4)
+    assert summary.intervals["dr"] == wilson_interval(3, 40)
+
+
+def test_picks_per_hour_follow_from_the_means_over_attempts(records: list[BinRecord]) -> None:
+    summary = sum_up(records)
+    motion = (3 * 5.25 + 2.0) / 4
+    assert summary.time == pytest.approx({"sense": 0.5, "compute": 0.25, "motion": motion})
+    assert summary.mpph == pytest.approx(3600 * 0.75 / (0.75 + motion))
+    assert summary.motion_dph == pytest.approx(3600 * 0.75 / motion)
+    low, high = summary.intervals["mpph"] or (np.nan, np.nan)
+    assert low < summary.mpph < high
+
+
+def test_wall_clock_leaves_the_drop_out_of_an_attempt(records: list[BinRecord]) -> None:
+    assert sum_up(records).wall == {"attempt": 5.0, "bin": 12.0, "render_share": 0.25}
+
+
+def test_every_cause_is_counted_the_absent_ones_too(records: list[BinRecord]) -> None:
+    summary = sum_up(records)
+    assert summary.outcomes == {str(kind): 0 for kind in GraspOutcome} | {"delivered": 3, "missed": 1}
+    assert summary.abstentions == {"no_candidate": 1, "no_clear_approach": 0, "ik_infeasible": 1}
+    assert summary.termination == {"empty": 0, "2F": 0, "abstained": 2, "time": 0}
+
+
+def test_intervals_over_bins_resample_whole_bins(records: list[BinRecord]) -> None:
+    twins = sum_up([record(k, attempt(DELIVERED), attempt(MISSED)) for k in range(5)])
+    assert twins.intervals["gsr_bins"] == (0.5, 0.5)  # every bin alike: bins carry no doubt, however few attempts
+    assert twins.intervals["dr_bins"] == pytest.approx((0.1, 0.1))
+    apart = sum_up([record(k, *[attempt(DELIVERED if k % 2 else MISSED)] * 10) for k in range(10)])
+    over_bins, wilson = apart.intervals["gsr_bins"], apart.intervals["gsr"]
+    assert over_bins is not None
+    assert wilson is not None
+    assert over_bins[1] - over_bins[0] > 2 * (wilson[1] - wilson[0])  # 10 independent bins, not 100 attempts
+    assert sum_up(records[:1]).intervals["gsr_bins"] is None
+    assert "resampling whole bins: GSR 50.0 to 50.0 %, DR 10.0 to 10.0 %" in result_table(twins)
+
+
+def test_lost_parts_are_added_up_and_told_from_those_left(records: list[BinRecord]) -> None:
+    summary = sum_up([*records, record(2, attempt(GraspOutcome.DOUBLE), lost=2)])
+    assert summary.lost == 2
+    assert "parts         3 delivered, 2 lost, 45 left in the bin" in result_table(summary)
+
+
+def test_clutter_weighs_bins_by_their_parts(records: list[BinRecord]) -> None:
+    summary = sum_up(records)
+    assert summary.clutter["parts"] == 40
+    assert summary.clutter["below_half"] == pytest.approx(0.5)
+    assert summary.clutter["median"] == pytest.approx(0.5)
+
+
+def test_results_json_holds_the_contracts_keys(records: list[BinRecord]) -> None:
+    values = json.loads(json_text(asdict(sum_up(records))))
+    assert set(values) >= CONTRACT
+    assert values["ap"] is None
+    assert values["candidate_pose_accuracy"] is None
+    assert values["versions"]["mujoco"]
+    assert values["config"]["sensor"] == "good"
+
+
+def test_without_attempts_rates_are_unknown_and_not_zero() -> None:
+    summary = sum_up([record(0, abstain(), abstain())])
+    assert (summary.gsr, summary.mpph, summary.time["motion"]) == (None, None, None)
+    assert summary.intervals["gsr"] == (0.0, 1.0)
+    assert "–" in result_table(summary)
+    json_text(asdict(summary))
+
+
+def test_an_empty_bin_has_no_clutter() -> None:
+    summary = sum_up([record(0, parts=0)])
+    assert summary.clutter == {"median": None, "below_half": None, "above_nine_tenths": None, "parts": 0}
+
+
+def test_what_does_not_belong_together_is_not_summed_up(records: list[BinRecord]) -> None:
+    with pytest.raises(ValueError, match=r"bins \[1\] are of another configuration"):
+        sum_up([records[0], replace(records[1], config_hash="?")])
+    with pytest.raises(ValueError, match="no bin was evaluated"):
+        sum_up([])
+
+
+def test_the_table_shows_the_numbers(records: list[BinRecord]) -> None:
+    table = result_table(sum_up(records))
+    for text in ("75.0 %", "3/4", "7.5 %", "3/40", "30.1 to 95.4 %", "ik_infeasible", "2 bins", "sensor good"):
+        assert text in table
+    assert "slipped" not in table
+    assert max(map(len, table.splitlines())) <= 100
+
+
+def test_the_table_warns_of_bins_of_different_commits(records: list[BinRecord]) -> None:
+    mixed = [replace(records[0], git_commit="aaa"), replace(records[1], git_commit="bbb")]
+    assert "NOTE  bins of 2 different commits: aaa, bbb" in result_table(sum_up(mixed))
+
+
+def test_failed_attempts_are_counted_by_blame_and_shown_beside_what_was_seen() -> None:
+    picks = [attempt(MISSED), attempt(MISSED), attempt(DELIVERED), attempt(GraspOutcome.COLLIDED)]
+    facts = {"config_hash": CONFIG.digest(), "index": 0, "wall": 9.0, "settle": 1.0, "render": 1.0}
+    first = BinRecord.from_result(bin_result(*picks), [""] * 4, [seen(True, False)], **facts)
+    assert [pick.blame for pick in first.picks] == ["grasp", "grasp", None, "physics"]
+    second = BinRecord.from_result(bin_result(attempt(MISSED)), [""], [seen(False, True, overlap=0.3)], **facts)
+    summary = sum_up([first, second])
+    assert summary.blame == {"segment": 1, "pose": 0, "grasp": 2, "physics": 1}
+    assert (summary.failures, summary.candidates, summary.candidate_pose_accuracy) == (4, 4, 0.5)
+    table = result_table(summary)
+    assert "failed attempts by blame    segment" in table
+    head = table.splitlines()[2:6]
+    assert [head[0].split("  ")[0], "recognition" in head[0], "picking success" in head[0]] == [
+        "segmentation AP",
+        True,
+        True,
+    ]
+    assert head[1].split() == ["–", "50.0", "%", "20.0", "%"]
+    assert "poses right of 4" in head[2]
+
+
+def test_columns_are_aligned() -> None:
+    assert columns([("name", "n"), ("a", "100")]) == "name    n\na     100"

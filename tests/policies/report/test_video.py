@@ -1,0 +1,79 @@
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from binpick_env.config import CONTROL_PERIOD
+from policies.report.video import EVERY, SPEED, Film, check_video
+from tests.policies.fake_cell import FakeEnv
+
+pytest.importorskip("imageio_ffmpeg")
+
+
+class Stage:
+    """Renders a moving square."""
+
+    def __init__(self) -> None:
+        self.shots = 0
+
+    def render(self) -> Any:
+        picture = np.zeros((49, 65, 3), np.uint8)
+        picture[10:20, self.shots : self.shots + 10] = 255
+        self.shots += 1
+        return picture
+
+
+def shoot(film: Film, steps: int) -> Stage:
+    stage = Stage()
+    for _ in range(steps):
+        film.after_step(stage)  # type: ignore[arg-type]
+    return stage
+
+
+def test_a_film_shows_every_nth_step(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "film.mp4"
+    with Film(path) as film:
+        stage = shoot(film, 5 * EVERY)
+        assert not path.exists()  # it appears when it is whole
+    assert stage.shots == 5
+    reader = cv2.VideoCapture(str(path))
+    assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(SPEED / (EVERY * CONTROL_PERIOD))
+    shots = []
+    while (shot := reader.read())[0]:
+        shots.append(shot[1])
+    reader.release()
+    assert [shot.shape for shot in shots] == [(48, 64, 3)] * 5
+    assert [p.name for p in path.parent.iterdir()] == ["film.mp4"]
+
+
+def test_a_film_ends_at_its_limit(tmp_path: Path) -> None:
+    with Film(tmp_path / "film.mp4", limit=0.4) as film:
+        assert shoot(film, 100).shots == 3  # steps 0, 4 and 8 of ten
+
+
+def test_a_crash_leaves_no_half_film(tmp_path: Path) -> None:
+    film = Film(tmp_path / "film.mp4")
+    shoot(film, EVERY)
+    film.__exit__(FloatingPointError, FloatingPointError(), None)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_path_nothing_is_filmed() -> None:
+    with Film.into(None, FakeEnv()) as film:  # type: ignore[arg-type]
+        assert film.seconds == 0.0
+
+
+def test_what_cannot_be_filmed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ValueError, match=r"must end in \.mp4, got 'film\.avi'"):
+        check_video(Path("film.avi"))
+    with pytest.raises(ValueError, match="only a WatchedEnv can be filmed, got FakeEnv"):
+        Film.into(tmp_path / "film.mp4", FakeEnv())  # type: ignore[arg-type]
+
+    def missing(name: str) -> None:
+        raise ImportError(name)
+
+    monkeypatch.setattr("policies.report.video.importlib.import_module", missing)
+    with pytest.raises(ModuleNotFoundError, match=r"\.venv/bin/python -m pip install -e '\.\[report\]'"):
+        check_video(tmp_path / "film.mp4")

@@ -1,0 +1,170 @@
+"""``BinPickSelect-v0``: Gymnasium's and SB3's contracts, repeatability, and masks through wrappers."""
+
+import inspect
+import pickle
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import binpick_env  # noqa: F401  registers the id
+from policies.grasping.clearance import RankSettings
+from policies.picking.scripted import PickerSettings
+from policies.selection.candidate_generator import ROWS
+from policies.selection.env import MAX_EPISODE_STEPS, GraspSelectionEnv
+from policies.selection.features import FEATURES
+from tests.policies.selection_cell import SMALL, assert_same, step
+
+# SB3 tells that a 2-D array is unusual; a set of grasps is meant.
+TWO_DIMENSIONAL = "Your observation grasps has an unconventional shape"
+
+
+@pytest.fixture(scope="module")
+def shared_env() -> Iterator[GraspSelectionEnv]:
+    env = GraspSelectionEnv(**SMALL)
+    yield env
+    env.close()
+
+
+# --- contracts -------------------------------------------------------------------------------------------------------
+
+
+def test_gymnasiums_checker(shared_env: GraspSelectionEnv) -> None:
+    check_env(shared_env, skip_render_check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("render_mode", ["rgb_array", "depth_array"])
+def test_gymnasiums_checker_renders(render_mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # It makes every declared mode; the viewer is not to be had without a display.
+    monkeypatch.setitem(GraspSelectionEnv.metadata, "render_modes", [render_mode])
+    check_env(gym.make("BinPickSelect-v0", render_mode=render_mode, **SMALL).unwrapped)
+
+
+@pytest.mark.filterwarnings(f"ignore:{TWO_DIMENSIONAL}:UserWarning")
+def test_sb3s_checker(shared_env: GraspSelectionEnv) -> None:
+    from stable_baselines3.common.env_checker import check_env as check_sb3
+
+    check_sb3(shared_env)
+
+
+def test_the_registration_truncates() -> None:
+    spec = gym.spec("BinPickSelect-v0")
+    assert spec.max_episode_steps == MAX_EPISODE_STEPS == 200
+    env = gym.make("BinPickSelect-v0", max_episode_steps=1, max_failures=None, **SMALL)
+    env.reset(seed=1)
+    *_, terminated, truncated, _ = env.step(ROWS - 1)
+    assert (terminated, truncated) == (False, True)
+    env.close()
+
+
+def test_the_default_is_to_see_with_the_learned_pipeline() -> None:
+    assert inspect.signature(GraspSelectionEnv).parameters["perception"].default == "learned"
+
+
+def test_the_docstring_tells_of_every_argument_and_feature() -> None:
+    text = GraspSelectionEnv.__doc__ or ""
+    arguments = text[text.index("## Arguments") :]
+    assert all(f"`{name}`" in arguments for name in inspect.signature(GraspSelectionEnv).parameters)
+    table = text[text.index("| index |") : text.index("## Reward")]
+    listed = [
+        name for cells in re.findall(r"^    \| \d[\d to,]* \| (.*?) \|", table, re.M) for name in cells.split(", ")
+    ]
+    assert [name.strip("`") for name in listed] == list(FEATURES)
+
+
+def test_two_copies_stay_equal(shared_env: GraspSelectionEnv) -> None:
+    """Bit for bit through attempts, although one of them has another episode behind it."""
+    shared_env.reset(seed=5)
+    step(shared_env, 0)
+    envs = shared_env, GraspSelectionEnv(**SMALL)
+    for seed in (3, None):
+        starts = [env.reset(seed=seed) for env in envs]
+        for one, other in zip(*starts, strict=True):
+            assert_same(one, other)
+        rows, over = iter((1, ROWS - 1, 0, 2)), False
+        while not over and (row := next(rows, None)) is not None:
+            steps = [step(env, row) for env in envs]
+            assert_same(steps[0][0], steps[1][0])
+            assert steps[0][1:4] == steps[1][1:4]
+            assert_same(steps[0][4], steps[1][4])
+            over = steps[0][2]
+    envs[1].close()
+
+
+def test_a_pickled_copy_behaves_the_same() -> None:
+    picker = PickerSettings(rank=RankSettings(per_candidate=2))
+    env = GraspSelectionEnv("bracket", sensor="harsh", picker=picker, per_part=1, max_failures=None, **SMALL)
+    copy = pickle.loads(pickle.dumps(env))
+    assert (copy.max_failures, copy.per_part, copy.picker.settings) == (None, 1, picker)
+    assert copy.observation_space == env.observation_space
+    for one, other in zip(env.reset(seed=6), copy.reset(seed=6), strict=True):
+        assert_same(one, other)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"max_failures": 0}, "max_failures must be at least 1, or None for never, got 0"),
+        ({"per_part": 0}, "per_part must be from 1 to 8, the number that the ranking keeps, got 0"),
+        ({"per_part": 9}, "per_part must be from 1 to 8, the number that the ranking keeps, got 9"),
+    ],
+)
+def test_nonsense_is_refused(arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        GraspSelectionEnv(**SMALL | arguments)
+
+
+# --- masks through wrappers ------------------------------------------------------------------------------------------
+
+
+def test_masks_come_through_wrappers() -> None:
+    from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
+    from stable_baselines3.common.monitor import Monitor
+
+    env = Monitor(gym.make("BinPickSelect-v0", **SMALL))
+    assert is_masking_supported(env)
+    observation, info = env.reset(seed=2)
+    masks = get_action_masks(env)
+    assert masks.shape == (ROWS,)
+    assert masks.dtype == np.bool_
+    assert masks.any()
+    np.testing.assert_array_equal(masks, observation["mask"])
+    np.testing.assert_array_equal(masks, info["action_mask"])
+    env.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("processes", [False, True])
+def test_maskable_ppo_learns_on_copies(processes: bool) -> None:
+    from sb3_contrib import MaskablePPO
+    from sb3_contrib.common.maskable.utils import get_action_masks
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+
+    vector = make_vec_env(
+        "binpick_env:BinPickSelect-v0",
+        n_envs=2,
+        seed=4,
+        env_kwargs=SMALL,
+        vec_env_cls=SubprocVecEnv if processes else DummyVecEnv,
+        vec_env_kwargs={"start_method": "forkserver"} if processes else {},
+    )
+    observation = vector.reset()
+    masks = get_action_masks(vector)
+    np.testing.assert_array_equal(masks, observation["mask"])
+    alone = GraspSelectionEnv(**SMALL)  # the workers' bits are this process's
+    expected, _ = alone.reset(seed=4)
+    np.testing.assert_array_equal(observation["grasps"][0], expected["grasps"])
+    assert np.any(observation["grasps"][1] != expected["grasps"])
+    model = MaskablePPO("MultiInputPolicy", vector, n_steps=2, batch_size=4, n_epochs=1, seed=0)
+    model.learn(4)
+    observation = vector.reset()
+    masks = get_action_masks(vector)
+    action, _ = model.predict(observation, action_masks=masks)
+    assert masks[np.arange(2), action].all()
+    vector.close()
