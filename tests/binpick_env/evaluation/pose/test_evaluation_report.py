@@ -14,6 +14,7 @@ from binpick_env.evaluation.pose.pictures import MISSED, RIGHT, WRONG, outline, 
 from binpick_env.evaluation.pose.record import PoseRecord
 from binpick_env.evaluation.pose.report import write_pose_report
 from binpick_env.evaluation.pose.summary import summarise_poses
+from binpick_env.evaluation.segmentation.pictures import scene_panels
 from binpick_env.evaluation.segmentation.record import RecordError, record_path
 from binpick_env.scenes.synthesis import SceneConfig, make_scene
 from perception.geometry import camera_matrix, project_points
@@ -88,6 +89,17 @@ def test_a_scene_has_its_image_its_groups_and_its_poses(edges: EdgeAppearances) 
     assert [panel.name for panel in pose_panels(bare, score, edges)] == ["groups"]
     whole = replace(scene, whole_scene=True, groups=np.full(4, -1))
     assert pose_panels(whole, score, edges)[1].name == "true segments"
+
+
+def test_groups_are_drawn_as_they_were_predicted_and_true_segments_as_they_are(edges: EdgeAppearances) -> None:
+    scene = replace(record(), labels=np.roll(record().labels, 60))  # a group is half of one part and half of another
+    score = PoseScore.of(scene, 0, bracket())
+    expected = {panel.name: panel.data for panel in scene_panels(scene.segmentation())}
+    assert expected["prediction"] != expected["truth"]
+    (groups,) = pose_panels(scene, score, edges)
+    assert groups.data == expected["prediction"]
+    (segments,) = pose_panels(replace(scene, whole_scene=True, groups=np.full(4, -1)), score, edges)
+    assert segments.data == expected["truth"]
 
 
 def test_the_report_shows_the_worst_scenes_first(tmp_path: Path, edges: EdgeAppearances) -> None:
