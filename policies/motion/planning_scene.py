@@ -80,13 +80,13 @@ class PlanningScene:
         return _linkage(float(driver))
 
     def tcp_poses(self, q: Floats) -> Floats:
-        """Return the (S, 4, 4) poses ``T_world_tcp`` of (S, 6) postures."""
+        """Return the (S, 4, 4) poses ``T_world_tcp`` of (S, 6) postures; the array is the caller's own."""
         poses = np.zeros((len(q), 4, 4))
         poses[:, 3, 3] = 1.0
-        rotation, place = self._data.site_xmat[self._tcp].reshape(3, 3), self._data.site_xpos[self._tcp]
-        for i, posture in enumerate(q):
+        for pose, posture in zip(poses, q, strict=True):
             self._place(posture, None)
-            poses[i, :3, :3], poses[i, :3, 3] = rotation, place
+            pose[:3, :3] = self._data.site_xmat[self._tcp].reshape(3, 3)
+            pose[:3, 3] = self._data.site_xpos[self._tcp]
         return poses
 
     def contacts(self, q: Floats, *, opening: float | None = None, clearance: float = 0.0) -> list[Contact]:
