@@ -59,6 +59,26 @@ class Tool:
         require_shape("points_tcp", self.points_tcp, (None, 3))
 
 
+@dataclass(frozen=True, kw_only=True)
+class StraightLegs:
+    """The straight lines of the tcp with which a transfer begins and ends.
+
+    Attributes:
+        lift: Length of the first line, along the world's z [m]; there is none if 0.
+        standoff: Length of the last line, along the goal's approach (tcp z) [m]; there is none if 0. The planner
+            lengthens it where the given length leaves no way to its beginning.
+        speed: Share of the arm's velocity limit allowed on both lines; the planner settings' ``line_speed`` if None.
+    """
+
+    lift: float = 0.0
+    standoff: float = 0.0
+    speed: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.lift < 0 or self.standoff < 0:
+            raise ValueError(f"lift and standoff must be at least 0, got {self.lift} and {self.standoff}")
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MotionPlan:
     """A timed motion, or the reason why there is none.
@@ -120,39 +140,33 @@ class MotionPlanner:
         q_from: Floats,
         q_to: Floats,
         tool: Tool,
+        legs: StraightLegs | None = None,
         *,
-        lift: float = 0.0,
-        standoff: float = 0.0,
         obstacle_height: HeightFunction | None = None,
-        speed: float | None = None,
         scale: float = 1.0,
     ) -> MotionPlan:
-        """Plan straight up by ``lift``, across, and straight in along the approach from ``standoff``, without a stop.
+        """Plan a motion straight up, across, and straight in along the goal's approach, without a stop in between.
 
         Args:
             q_from: (6,) start [rad].
             q_to: (6,) goal [rad].
             tool: Jaw and carried part; its points are checked on the way across only.
-            lift: Along the world's z [m]; with 0 the leg is empty.
-            standoff: Along the goal's approach (tcp z) [m], further out where that leaves no way in; with 0 the leg is
-                empty.
-            obstacle_height: Surface of the pile, without what is carried.
-            speed: Share of the velocity limit on the straight legs; the settings' if None.
-            scale: Share of velocity and acceleration limits everywhere.
+            legs: Straight lines at both ends; none if None.
+            obstacle_height: Surface of the pile, without what is carried; no pile if None.
+            scale: Share of the velocity and acceleration limits used on the whole motion.
 
         Returns:
             The plan; its trajectory has three marks: lifted, before the goal, and at the goal.
         """
         q_from, q_to = checked_postures("q_from", q_from)[0], checked_postures("q_to", q_to)[0]
-        if lift < 0 or standoff < 0:
-            raise ValueError(f"lift and standoff must be at least 0, got {lift} and {standoff}")
-        up = self._line(q_from, make_transform(translation=(0, 0, lift)) @ self._ik.tcp_pose(q_from), speed)
+        legs = legs if legs is not None else StraightLegs()
+        up = self._line(q_from, make_transform(translation=(0, 0, legs.lift)) @ self._ik.tcp_pose(q_from), legs.speed)
         if isinstance(up, MotionPlan):
             return up
         first_failure: MotionPlan | None = None
-        for further in self.settings.extensions if standoff > 0 else (0.0,):
-            back = make_transform(translation=(0, 0, -standoff - further))
-            plan = out = self._line(q_to, self._ik.tcp_pose(q_to) @ back, speed)
+        for further in self.settings.extensions if legs.standoff > 0 else (0.0,):
+            back = make_transform(translation=(0, 0, -legs.standoff - further))
+            plan = out = self._line(q_to, self._ik.tcp_pose(q_to) @ back, legs.speed)
             if not isinstance(out, MotionPlan):
                 into = leg(out.q[::-1].copy(), float(out.speed[0]))
                 across = self._across(up, into, tool, obstacle_height)

@@ -19,7 +19,7 @@ from policies.grasping.observed_scene import SeenScene
 from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
 from policies.motion.ik import IkResult, IkSolver
 from policies.motion.path_checker import HeightFunction
-from policies.motion.planner import MotionPlanner, Tool
+from policies.motion.planner import MotionPlanner, StraightLegs, Tool
 from policies.motion.planning_scene import PlanningScene
 from policies.motion.trajectory import Trajectory
 from policies.picking.execution import Execution, ExecutionSettings
@@ -173,9 +173,8 @@ class ScriptedPicker:
             env.simulation.target,
             reached.q,
             Tool(opening=grasp.opening, points_tcp=self.gripper.hull_points(grasp.opening)),
-            standoff=settings.standoff,
+            StraightLegs(standoff=settings.standoff, speed=settings.approach_speed),
             obstacle_height=self._pile_height(),
-            speed=settings.approach_speed,
         )
         if approach.trajectory is None:
             return Abstention.NO_CLEAR_APPROACH
@@ -247,18 +246,18 @@ class ScriptedPicker:
         carried = transform_points(invert_transform(T_world_tcp) @ T_world_part, self._outline)
         jaw = self.gripper.hull_points(plan.grasp.width)[::_SPARSE]
         tool = Tool(opening=plan.grasp.width, points_tcp=np.vstack([carried, jaw]))
-        lift = self._planner.clearing_lift(plan.q_grasp, tool) + 0.01
+        legs = StraightLegs(lift=self._planner.clearing_lift(plan.q_grasp, tool) + 0.01)
         release = self._release_posture(carried)
         carry = self._planner.plan_transfer(
             plan.q_grasp,
             release,
             tool,
-            lift=lift,
+            legs,
             obstacle_height=self._pile_height(),
             scale=settings.carry_scale,
         )
         if carry.trajectory is None:  # with the part in the jaw, stricter clearances than the lone gripper's
-            carry = self._planner.plan_transfer(plan.q_grasp, HOME, Tool(opening=plan.grasp.width), lift=lift)
+            carry = self._planner.plan_transfer(plan.q_grasp, HOME, Tool(opening=plan.grasp.width), legs)
         planning = time.perf_counter() - started
         if carry.trajectory is None:
             execution.release()
@@ -286,7 +285,8 @@ class ScriptedPicker:
         started = time.perf_counter()
         q = self._env.simulation.target.copy()
         tool = Tool(points_tcp=self.gripper.hull_points(0.0)[::_SPARSE])
-        plan = self._planner.plan_transfer(q, HOME, tool, lift=self._planner.clearing_lift(q, tool))
+        legs = StraightLegs(lift=self._planner.clearing_lift(q, tool))
+        plan = self._planner.plan_transfer(q, HOME, tool, legs)
         planning = time.perf_counter() - started
         if plan.trajectory is None:
             execution.retrace()

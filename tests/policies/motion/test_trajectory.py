@@ -11,7 +11,7 @@ from binpick_env.config import CONTROL_PERIOD, RobotConfig
 from perception.geometry import make_transform, rotation_about
 from policies.motion.ik import IkSettings, IkSolver
 from policies.motion.path_checker import PathChecker
-from policies.motion.planner import MotionPlanner, PlanFailure, PlannerSettings, Tool
+from policies.motion.planner import MotionPlanner, PlanFailure, PlannerSettings, StraightLegs, Tool
 from policies.motion.planning_scene import MAX_CLEARANCE, PlanningScene
 from policies.motion.trajectory import JointPath, join, leg, smooth_path, time_path
 
@@ -144,7 +144,7 @@ def test_no_timing_is_none(monkeypatch):
 
 
 def test_same_path_same_bits(planner, q_grasp):
-    plans = [planner.plan_transfer(HOME, q_grasp, Tool(points_tcp=JAW), standoff=0.1) for _ in range(2)]
+    plans = [planner.plan_transfer(HOME, q_grasp, Tool(points_tcp=JAW), StraightLegs(standoff=0.1)) for _ in range(2)]
     assert plans[0].trajectory.q.tobytes() == plans[1].trajectory.q.tobytes()
 
 
@@ -250,6 +250,23 @@ def test_static_height_is_that_of_the_boxes(scene):
     assert scene.static_height(np.array([[9.0, 9.0, 0.0]]))[0] == -np.inf
 
 
+def test_tcp_poses_are_read_anew_and_belong_to_the_caller(scene, monkeypatch):
+    """No view of the simulation's data outlives a placement, and no later query changes a returned pose."""
+    q = np.vstack([HOME, HOME + 0.1, HOME - 0.2])
+    poses = scene.tcp_poses(q)
+    before = poses.copy()
+    scene.contacts(HOME + 0.3)
+    np.testing.assert_array_equal(poses, before)
+    place = PlanningScene._place
+
+    def place_in_new_data(self, posture, opening):
+        self._data = mujoco.MjData(self.model)
+        place(self, posture, opening)
+
+    monkeypatch.setattr(PlanningScene, "_place", place_in_new_data)
+    np.testing.assert_array_equal(scene.tcp_poses(q), before)
+
+
 def test_refined_path_moves_the_tip_in_small_steps(scene):
     checker = PathChecker(scene)
     samples = checker.refine(np.vstack([HOME, HOME + np.array([0.8, 0, 0, 0, 0, 0])]))
@@ -284,7 +301,8 @@ def test_clearance_beyond_what_is_modelled_is_refused(scene):
 
 
 def test_approach_is_one_motion_with_a_straight_end(planner, ik, q_grasp):
-    plan = planner.plan_transfer(HOME, q_grasp, Tool(points_tcp=JAW), standoff=0.08, obstacle_height=pile, speed=0.5)
+    legs = StraightLegs(standoff=0.08, speed=0.5)
+    plan = planner.plan_transfer(HOME, q_grasp, Tool(points_tcp=JAW), legs, obstacle_height=pile)
     assert plan.ok
     trajectory = plan.trajectory
     assert_obeys(trajectory)
@@ -303,7 +321,7 @@ def test_carry_lifts_straight_up_and_clears_the_rim(planner, ik, q_grasp, q_tray
     tool = Tool(opening=0.03, points_tcp=np.vstack([JAW, PART]))
     lift = planner.clearing_lift(q_grasp, tool)
     assert lift == pytest.approx(0.14 + 0.02 - (0.06 - 0.035), abs=2e-3)
-    plan = planner.plan_transfer(q_grasp, q_tray, tool, lift=lift, obstacle_height=pile, scale=0.8)
+    plan = planner.plan_transfer(q_grasp, q_tray, tool, StraightLegs(lift=lift), obstacle_height=pile, scale=0.8)
     assert plan.ok
     assert_obeys(plan.trajectory, 0.8)
     poses = np.array([ik.tcp_pose(q) for q in plan.trajectory.q])
@@ -336,7 +354,7 @@ def test_failures_have_reasons(planner, scene, ik, q_grasp, q_tray, monkeypatch)
     assert blocked.failure is PlanFailure.COLLISION
     assert "no way across" in blocked.detail
     assert not blocked.ok
-    far = planner.plan_transfer(HOME, q_grasp, tool, lift=1.5)
+    far = planner.plan_transfer(HOME, q_grasp, tool, StraightLegs(lift=1.5))
     assert far.failure in (PlanFailure.IK, PlanFailure.JUMP)
     into_table = planner.plan_line(HOME, make_transform(DOWN, (0.3, -0.6, -0.03)), tool)
     assert into_table.failure is PlanFailure.COLLISION
@@ -365,12 +383,14 @@ def test_a_jaw_pressed_softly_into_the_floor_can_leave(planner, ik, scene):
     up = make_transform(translation=(0, 0, 0.05)) @ ik.tcp_pose(q)
     assert planner.plan_line(q, up, Tool()).failure is PlanFailure.COLLISION
     assert planner.plan_line(q, up, Tool(), escaping=True).ok
-    assert planner.plan_transfer(q, HOME, Tool(), lift=0.2).ok
+    assert planner.plan_transfer(q, HOME, Tool(), StraightLegs(lift=0.2)).ok
 
 
 def test_bad_requests_are_refused(planner):
     with pytest.raises(ValueError, match="lift and standoff must be at least 0"):
-        planner.plan_transfer(HOME, HOME, Tool(), lift=-0.1)
+        StraightLegs(lift=-0.1)
+    with pytest.raises(ValueError, match=r"lift and standoff must be at least 0, got 0\.0 and -0\.05"):
+        StraightLegs(standoff=-0.05)
     with pytest.raises(ValueError, match="q_to must be finite"):
         planner.plan_transfer(HOME, np.full(6, np.nan), Tool())
     with pytest.raises(ValueError, match=r"points_tcp must be \(N, 3\)"):

@@ -206,7 +206,7 @@ def test_a_picker_that_finds_no_way_with_the_part_lets_it_go_and_retraces(
 
     def only_the_approach(*args: Any, **options: Any) -> MotionPlan:
         plans.append(plan_transfer(*args, **options))
-        return plans[-1] if options.get("standoff", 0) > 0 else MotionPlan(failure=PlanFailure.COLLISION)
+        return plans[-1] if args[4].standoff > 0 else MotionPlan(failure=PlanFailure.COLLISION)
 
     monkeypatch.setattr(MotionPlanner, "plan_transfer", only_the_approach)
     result = tees.picker.pick()

@@ -11,7 +11,7 @@ from perception.geometry import make_transform, rotation_about
 from policies.grasping.failed_grasps import FailedGrasps
 from policies.grasping.grasps import flip
 from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome
-from policies.motion.planner import Tool
+from policies.motion.planner import StraightLegs, Tool
 from policies.picking.scripted import Plan, ScriptedPicker
 from tests.policies.hand_cell import HandCell
 
@@ -65,7 +65,8 @@ def test_what_reach_refuses_has_no_plan(cell: HandCell) -> None:
                 q = cell.picker._ik.solve_grasp(grasp.T_world_tcp, cell.env.simulation.target, opening=grasp.opening)
                 if q.ok:
                     refused += 1
-                    assert not approach(cell.env.simulation.target, q.q, Tool(opening=grasp.opening), standoff=0.06).ok
+                    tool, legs = Tool(opening=grasp.opening), StraightLegs(standoff=0.06)
+                    assert not approach(cell.env.simulation.target, q.q, tool, legs).ok
     assert refused > 0
 
 
