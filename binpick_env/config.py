@@ -1,16 +1,18 @@
 """Every setting of the cell, as frozen dataclasses. Lengths [m], angles [rad], times [s], world frame unless said."""
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from perception.frame import Workspace
-from perception.geometry import make_transform, rotation_about
+if TYPE_CHECKING:
+    from perception.frame import Workspace
 
 CONTROL_PERIOD = 0.04  # of the environment [s]
 Backend = Literal["rays", "egl", "raster"]
 SensorPreset = Literal["none", "good", "harsh"]
+SensorChoice = SensorPreset | Literal["mixed"]  # mixed: a preset drawn for each scene
+Perception = Literal["oracle", "gt_masks", "learned"]  # what finds the parts in a frame
 
 
 def _require(condition: bool, message: str) -> None:
@@ -31,8 +33,12 @@ class BinConfig:
         _require(min(self.inner_size) > 0, f"inner_size must be positive, got {self.inner_size}")
         _require(self.wall >= 0.005, f"wall must be at least 0.005 m, got {self.wall}")
 
-    def workspace(self) -> Workspace:
+    def workspace(self) -> "Workspace":
         """Return the bin's pose and inner box."""
+        # Here, since the settings are read by command lines that must not load scipy.
+        from perception.frame import Workspace
+        from perception.geometry import make_transform, rotation_about
+
         centre = (*self.position, self.wall)
         T_world_bin = make_transform(rotation_about((0, 0, 1), self.yaw), centre)
         return Workspace(T_world_bin=T_world_bin, inner_size=np.array(self.inner_size))

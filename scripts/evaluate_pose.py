@@ -11,11 +11,12 @@ from tqdm import tqdm
 
 from binpick_env.cell.settle import SettleError
 from binpick_env.config import Backend, CameraConfig, SensorPreset
+from binpick_env.evaluation.choices import PosePerception
 from binpick_env.evaluation.pose.ablation import pose_rows, run_pose_ablation
 from binpick_env.evaluation.pose.ablation_table import pose_ablation_table
 from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_poses
 from binpick_env.evaluation.pose.judgement import load_pose_scores
-from binpick_env.evaluation.pose.method import PoseMethodConfig, PosePerception
+from binpick_env.evaluation.pose.method import PoseMethodConfig
 from binpick_env.evaluation.pose.report import write_pose_report
 from binpick_env.evaluation.pose.summary import summarise_poses
 from binpick_env.evaluation.pose.table import pose_table, table_three

@@ -11,10 +11,11 @@ from tqdm import tqdm
 
 from binpick_env.cell.settle import SettleError
 from binpick_env.config import Backend, CameraConfig, SensorPreset
+from binpick_env.evaluation.choices import SegmentationKind
 from binpick_env.evaluation.segmentation.ablation import AblationConfig, run_ablation
 from binpick_env.evaluation.segmentation.ablation_table import ablation_table
 from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, evaluate_scenes
-from binpick_env.evaluation.segmentation.method import Kind, MethodConfig
+from binpick_env.evaluation.segmentation.method import MethodConfig
 from binpick_env.evaluation.segmentation.report import write_report
 from binpick_env.evaluation.segmentation.summary import load_scores, save_summary, summarise
 from binpick_env.evaluation.segmentation.table import segmentation_table
@@ -38,7 +39,7 @@ class Arguments:
     count: int = 100  # scenes
     seed: int = 7  # scene i's own seed follows from this and i alone; not one that was trained with
     weights: Path | None = None  # a .safetensors file; those found for the part unless given
-    method: Kind = "network"  # euclidean: components of points that lie close together, the floor
+    method: SegmentationKind = "network"  # euclidean: components of points that lie close together, the floor
     threshold: float | None = None  # embedding distance of one part's points; the grouping's own unless given
     radius: float = 0.002  # euclidean: distance of linked points [m]
     sensor: SensorPreset = "good"  # the depth camera's noise

@@ -8,8 +8,7 @@ from pathlib import Path
 import tyro
 from tqdm import tqdm
 
-from binpick_env.config import CameraConfig, SensorPreset
-from binpick_env.observation.perceiver import Perception
+from binpick_env.config import CameraConfig, Perception, SensorPreset
 from policies.evaluation.bin_evaluation import BinError, EvaluationConfig
 from policies.evaluation.conditions import conditions
 from policies.evaluation.jobs import Job

@@ -9,10 +9,10 @@ import tyro
 from tqdm import tqdm
 
 from binpick_env.cell.settle import SettleError
-from binpick_env.config import Backend, CameraConfig
+from binpick_env.config import Backend, CameraConfig, SensorChoice
 from binpick_env.jobs.process_map import WorkerError
 from binpick_env.parts import Unit
-from binpick_env.scenes.synthesis import SceneConfig, SensorChoice, generate_scenes
+from binpick_env.scenes.synthesis import SceneConfig, generate_scenes
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import git_commit
 

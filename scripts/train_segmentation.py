@@ -11,10 +11,11 @@ import tyro
 from tqdm import tqdm
 
 from perception.runtime.files import json_text, write_atomically
+from perception.segmentation.training.choices import PresetName
 from perception.segmentation.training.dataset import BatchMaker, load_packed, scene_sources, split_scenes
 from perception.segmentation.training.distributed import Place, processes
 from perception.segmentation.training.loop import Length, Trainer, TrainingError
-from perception.segmentation.training.presets import EPOCHS, PRESETS, PresetName, TrainingConfig
+from perception.segmentation.training.presets import EPOCHS, PRESETS, TrainingConfig
 from perception.segmentation.training.progress import TrainingDisplay
 from perception.segmentation.training.run import LOG, WEIGHTS, Log, RunConfig, resume, train
 from perception.segmentation.weights import SHARED, install_weights

@@ -2,20 +2,20 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, Protocol, get_args
+from typing import Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.camera.depth_camera import Capture
 from binpick_env.candidates import PoseCandidate
+from binpick_env.config import Perception
 from binpick_env.observation.observed_candidates import ObservedCandidates
 from binpick_env.observation.perception_noise import PerceptionNoise
 from perception.frame import Workspace
 from perception.geometry import Floats, rotation_about, transform_points
 from perception.part import PartModel
 
-Perception = Literal["oracle", "gt_masks", "learned"]
 OFFERED_FROM = 0.3  # visible_fraction from which the oracle shows a part
 
 

@@ -2,16 +2,15 @@
 
 import logging
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 import trimesh
 
+from binpick_env.parts.unit import METRES, Unit
 from perception.part import diameter
 
 log = logging.getLogger(__name__)
-Unit = Literal["m", "mm", "cm", "inch"]
-METRES: dict[str, float] = {"m": 1.0, "mm": 0.001, "cm": 0.01, "inch": 0.0254}
 SUFFIXES = (".stl", ".obj", ".ply")
 PLAUSIBLE = (0.01, 0.25)  # d_max of a part when the unit is guessed [m]
 D_MAX = (0.02, 0.2)  # d_max accepted [m]: below, the camera sees too few points; above, no bin of the cell holds a pile

@@ -9,9 +9,10 @@ import numpy as np
 import trimesh
 
 from binpick_env.parts.catalogue import CATALOGUE, design
-from binpick_env.parts.mesh_file import Unit, read_mesh
+from binpick_env.parts.mesh_file import read_mesh
 from binpick_env.parts.pieces import convex_pieces
 from binpick_env.parts.symmetry import detect_symmetry
+from binpick_env.parts.unit import Unit
 from perception.geometry import Floats
 from perception.part import PartModel, Symmetry
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from binpick_env.camera.sensor import PRESETS
 from binpick_env.camera.shading import Light
 from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
-from binpick_env.config import CameraConfig, CellConfig, SensorPreset
+from binpick_env.config import CameraConfig, CellConfig, SensorChoice, SensorPreset
 from binpick_env.jobs.folder_claim import claim
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.parts import CATALOGUE, Part, Unit, load_part
@@ -28,7 +28,6 @@ from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
 
 _log = logging.getLogger(__name__)
-SensorChoice = SensorPreset | Literal["mixed"]
 MIXTURE: dict[SensorPreset, float] = {"good": 0.7, "harsh": 0.2, "none": 0.1}  # shares under sensor "mixed"
 
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Literal, get_args
 
+from perception.s3dis.choices import BudgetName, RowName
 from perception.s3dis.data.categories import CATEGORIES
 from perception.s3dis.data.dataset import COLOURED, COLOURLESS
 from perception.segmentation.networks.sgpn import SgpnConfig, Trunk
@@ -10,9 +11,7 @@ from perception.segmentation.training.augment import NONE
 from perception.segmentation.training.losses import PairLossConfig
 from perception.segmentation.training.presets import PRESETS, TrainingConfig
 
-RowName = Literal["sgpn-colour", "dgcnn-colour", "dgcnn-new", "dgcnn-new-colour"]
 ROWS: tuple[RowName, ...] = get_args(RowName)  # in the table's order
-BudgetName = Literal["paper", "small"]
 
 # What the rows of the small budget share: a schedule that learns in some 1000 steps of a processor, and the distance of
 # SGPN's code, 10 |df|^2. With |df| the margin of 80 swamps the other terms: after 250 steps of dgcnn-new-colour (one

@@ -5,18 +5,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from perception.instance import Instance
 from perception.metrics.average_precision import ap_summary
 from perception.metrics.matching import MIN_REGION, SceneMatches, SceneTruth, match_scene
+from perception.s3dis.choices import Population
 from perception.s3dis.data.blocks import BlockConfig, Ints, cover_room
 from perception.s3dis.data.categories import CATEGORIES, SCORED
 from perception.s3dis.data.room import Room
 
-Population = Literal["room", "blocks"]
 Predict = Callable[[Room, np.random.Generator], Sequence[Instance]]
 Run = Callable[[Callable[[int], SceneMatches], Sequence[int]], Iterator[SceneMatches]]
 

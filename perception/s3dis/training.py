@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from perception.metrics.matching import match_scene
+from perception.s3dis.choices import BudgetName, RowName
 from perception.s3dis.data.blocks import BlockConfig
 from perception.s3dis.data.categories import AREAS, CATEGORIES, TEST_AREA
 from perception.s3dis.data.dataset import BlockBatches, PackedRoom, load_packed_rooms, sees_colour
 from perception.s3dis.data.room import Room, find_rooms, mean_sizes
 from perception.s3dis.merging import MIN_SIZE_SHARE
 from perception.s3dis.predictor import RoomPredictorConfig, describe_room, merge_samples_at, sample_grouping
-from perception.s3dis.presets import BudgetName, RowName, row_training
+from perception.s3dis.presets import row_training
 from perception.s3dis.scoring import S3disScores, room_rng, room_truth
 from perception.segmentation.training.distributed import Place
 from perception.segmentation.training.loop import Length, StepRecord, Trainer

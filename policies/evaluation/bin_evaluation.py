@@ -11,9 +11,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from binpick_env.config import BinConfig, CameraConfig, CellConfig, SensorPreset
+from binpick_env.config import BinConfig, CameraConfig, CellConfig, Perception, SensorPreset
 from binpick_env.env import BinPickEnv
-from binpick_env.observation.perceiver import Perception, PoseNoise, make_perceiver
+from binpick_env.observation.perceiver import PoseNoise, make_perceiver
 from binpick_env.parts import Part, Unit, load_part
 from perception.runtime.provenance import git_commit
 from policies.evaluation.frame_record import FrameRecord, judge_frame

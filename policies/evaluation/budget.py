@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from binpick_env.observation.perceiver import Perception
+from binpick_env.config import Perception
 from perception.runtime.files import json_text, write_atomically
 from policies.evaluation.bin_evaluation import EvaluationConfig
 from policies.evaluation.jobs import Job

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from binpick_env.observation.perceiver import Perception
+from binpick_env.config import Perception
 from policies.evaluation.bin_evaluation import EvaluationConfig
 from policies.evaluation.budget import Runs, make_budget, save_budget
 from policies.evaluation.jobs import Job

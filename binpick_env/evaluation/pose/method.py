@@ -4,9 +4,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Protocol, get_args
 
 from binpick_env.config import CellConfig
+from binpick_env.evaluation.choices import PosePerception
 from binpick_env.evaluation.segmentation.method import MethodConfig, segmenter
 from binpick_env.parts import Unit, load_part
 from perception.boundary import BoundaryCloud
@@ -20,8 +21,6 @@ from perception.pose.selection.explanation import ExplanationConfig
 from perception.segmentation.grouping.similarity import GroupingConfig
 from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.surface import Surface
-
-PosePerception = Literal["learned", "gt_masks", "whole_scene"]
 
 
 @dataclass(frozen=True, kw_only=True)

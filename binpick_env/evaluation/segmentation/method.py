@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from binpick_env.evaluation.choices import SegmentationKind
 from perception.boundary import BoundaryCloud
 from perception.instance import Instance, instances_of
 from perception.segmentation.grouping.euclidean import euclidean_components
@@ -20,7 +21,6 @@ from perception.segmentation.predictor import PointPredictions, PredictorConfig,
 from perception.segmentation.surface import Surface
 from perception.segmentation.weights import load_record
 
-Kind = Literal["network", "euclidean"]
 Grouping = Literal["ours", "merging"]
 
 
@@ -41,7 +41,7 @@ class MethodConfig:
         seed: Of the subsets.
     """
 
-    kind: Kind = "network"
+    kind: SegmentationKind = "network"
     weights: Path | None = None
     grouping: Grouping = "ours"
     mask: bool = True
@@ -52,7 +52,7 @@ class MethodConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, choices in (("kind", get_args(Kind)), ("grouping", get_args(Grouping))):
+        for name, choices in (("kind", get_args(SegmentationKind)), ("grouping", get_args(Grouping))):
             if getattr(self, name) not in choices:
                 raise ValueError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")
         if self.kind == "network" and self.weights is None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from perception.metrics.matching import SceneMatches
 from perception.runtime.files import json_text, write_atomically
-from perception.s3dis.presets import RowName
+from perception.s3dis.choices import RowName
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

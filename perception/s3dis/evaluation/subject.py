@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+from perception.s3dis.choices import Identity, Population
 from perception.s3dis.data.categories import AREAS, TEST_AREA
 from perception.s3dis.data.room import find_rooms
 from perception.s3dis.evaluation.identities import predict_ground_truth, predict_merged_ground_truth_blocks
 from perception.s3dis.predictor import RoomPredictor
-from perception.s3dis.scoring import Population, Predict
+from perception.s3dis.scoring import Predict
 from perception.segmentation.weights import load_record
 
-Identity = Literal["ground_truth", "merged_ground_truth_blocks"]
 IDENTITIES: dict[Identity, Predict] = {
     "ground_truth": predict_ground_truth,
     "merged_ground_truth_blocks": predict_merged_ground_truth_blocks,

@@ -11,11 +11,12 @@ import numpy as np
 
 from perception.metrics.average_precision import percentile_interval, weighted_ap
 from perception.metrics.matching import SceneMatches
+from perception.s3dis.choices import BudgetName, RowName
 from perception.s3dis.data.categories import CLUTTER, SCORED, TEST_AREA
 from perception.s3dis.data.room import find_rooms
 from perception.s3dis.evaluation.judged import JudgedRow, load_judged, save_judged
 from perception.s3dis.predictor import RoomPredictor
-from perception.s3dis.presets import ROWS, BudgetName, RowName
+from perception.s3dis.presets import ROWS
 from perception.s3dis.scoring import S3disScores, match_rooms
 from perception.s3dis.training import RowTraining, train_row
 from perception.segmentation.training.run import WEIGHTS

@@ -6,9 +6,8 @@ from typing import Literal
 from perception.segmentation.networks.grid_net import GridNetConfig
 from perception.segmentation.networks.sgpn import SgpnConfig
 from perception.segmentation.training.augment import NONE, AugmentConfig
+from perception.segmentation.training.choices import PresetName
 from perception.segmentation.training.losses import AlphaSchedule, PairLossConfig
-
-PresetName = Literal["paper", "released", "ours"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,9 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.config import BinConfig, CameraConfig, CellConfig, SensorPreset
+from binpick_env.config import BinConfig, CameraConfig, CellConfig, Perception, SensorPreset
 from binpick_env.jobs.process_map import map_indices
-from binpick_env.observation.perceiver import Perception
 from perception.runtime.files import json_text, replace_atomically
 from policies.grasping.outcomes import PickResult
 from policies.selection.candidate_generator import Observation

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from binpick_env.observation.perceiver import Perception
+from binpick_env.config import Perception
 from policies.evaluation.bin_evaluation import EvaluationConfig
 from policies.evaluation.budget import MODES, Budget, Runs, budget_jobs, make_budget
 from policies.evaluation.jobs import Job, run_job
