@@ -12,7 +12,7 @@ from tqdm import tqdm
 from binpick_env.cell.settle import SettleError
 from binpick_env.config import Backend, CameraConfig, SensorPreset
 from binpick_env.evaluation.choices import PosePerception
-from binpick_env.evaluation.pose.ablation import pose_rows, run_pose_ablation
+from binpick_env.evaluation.pose.ablation import PoseAblationConfig, pose_rows, run_pose_ablation
 from binpick_env.evaluation.pose.ablation_table import pose_ablation_table
 from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_poses
 from binpick_env.evaluation.pose.judgement import load_pose_scores
@@ -125,11 +125,9 @@ def _evaluation(args: Arguments) -> str:
 
 def _ablation(args: Arguments) -> str:
     out, rows = args.folder(), pose_rows(args.estimator())
+    config = PoseAblationConfig(scenes=args.scene_config(), count=args.count, rows=rows)
     with tqdm(desc=args.part, bar_format="{desc} · {elapsed}") as bar:
-        report, fresh = bar.set_description_str, args.fresh
-        table = run_pose_ablation(
-            args.scene_config(), args.count, out, args.workers, rows=rows, fresh=fresh, report=report
-        )
+        table = run_pose_ablation(config, out, args.workers, fresh=args.fresh, report=bar.set_description_str)
     results = args.json or out / "results.json"
     save_summary(results, table)
     return f"{pose_ablation_table(table)}\nnumbers   {results}"

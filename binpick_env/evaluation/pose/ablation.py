@@ -145,45 +145,51 @@ def pose_rows(full: EstimatorConfig | None = None) -> list[PoseRow]:
     ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class PoseAblationConfig:
+    """What the table depends on.
+
+    Attributes:
+        scenes: Part, bin, sensor and seed of the scenes that every row is evaluated on.
+        count: Number of scenes; a later run may ask for more.
+        rows: Rows of the table; the others are compared with the first.
+    """
+
+    scenes: SceneConfig
+    count: int = 100
+    rows: Sequence[PoseRow] = field(default_factory=pose_rows)
+
+
 def run_pose_ablation(
-    scenes: SceneConfig,
-    count: int,
-    out: Path,
-    workers: int = 1,
-    *,
-    rows: Sequence[PoseRow] | None = None,
-    fresh: bool = False,
-    report: Report | None = None,
+    config: PoseAblationConfig, out: Path, workers: int = 1, *, fresh: bool = False, report: Report | None = None
 ) -> PoseAblation:
-    """Judge every row and tabulate; what lies in ``out`` already is not done again.
+    """Evaluate every row and tabulate; results that ``out`` holds already are reused.
 
     Args:
-        scenes: That all rows are judged on.
-        count: How many; more may be asked for later.
+        config: Scenes and rows of the table.
         out: Folder of the rows' records.
-        workers: Processes.
-        rows: Of the table, the one that the others are compared with first; `pose_rows` unless given.
-        fresh: Compute what lies there, too.
-        report: Called with a line whenever another scene is done.
+        workers: Number of worker processes.
+        fresh: Whether to compute the records that exist again.
+        report: Function that is called with a line of text after each scene.
 
     Raises:
-        ValueError: The folder is another ablation's, or there is no such part.
+        ValueError: The folder holds another ablation, or there is no such part.
         WorkerError: A process was killed; every finished scene is kept.
     """
-    rows = pose_rows() if rows is None else rows
-    judged: dict[str, list[PoseScore]] = {}
-    for row in rows:
-        config = PoseEvaluationConfig(scenes=scenes, method=row.method)
-        part = config.load().part  # what is not there must not claim the folder
+    scenes, count = config.scenes, config.count
+    scores: dict[str, list[PoseScore]] = {}
+    for row in config.rows:
+        evaluation = PoseEvaluationConfig(scenes=scenes, method=row.method)
+        part = evaluation.load().part  # a part that cannot be loaded must not bind the folder
         claim(out / "pose_ablation.json", scene_note(scenes), "an ablation of poses")
-        if row.key in judged:
+        if row.key in scores:
             continue
         folder = out / "rows" / row.key
-        for k, _ in enumerate(evaluate_poses(config, count, folder, workers, fresh=fresh, pictures=False)):
+        for k, _ in enumerate(evaluate_poses(evaluation, count, folder, workers, fresh=fresh, pictures=False)):
             if report is not None:
                 report(f"{row.name}: scene {k + 1} of {count}")
-        judged[row.key] = load_pose_scores(folder, count, part)
-    return tabulate_poses([(row, judged[row.key]) for row in rows], scenes, np.random.default_rng(scenes.seed))
+        scores[row.key] = load_pose_scores(folder, count, part)
+    return tabulate_poses([(row, scores[row.key]) for row in config.rows], scenes, np.random.default_rng(scenes.seed))
 
 
 def tabulate_poses(

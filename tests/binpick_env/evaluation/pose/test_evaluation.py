@@ -14,7 +14,7 @@ import torch
 from binpick_env.config import CameraConfig
 from binpick_env.evaluation.pose import evaluation as pose_evaluation
 from binpick_env.evaluation.pose import method as pose_method
-from binpick_env.evaluation.pose.ablation import PoseRow, run_pose_ablation
+from binpick_env.evaluation.pose.ablation import PoseAblationConfig, PoseRow, run_pose_ablation
 from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_pose_scene, evaluate_poses
 from binpick_env.evaluation.pose.judgement import load_pose_scores
 from binpick_env.evaluation.pose.method import PoseMethodConfig
@@ -304,13 +304,14 @@ def test_rows_of_one_key_are_judged_once_and_gone_on_with(tmp_path: Path, teller
         PoseRow(key="lenient", name="lenient", method=other),
     ]
     said: list[str] = []
-    table = run_pose_ablation(SCENES, 2, tmp_path, rows=rows, report=said.append)
+    ablation = PoseAblationConfig(scenes=SCENES, count=2, rows=rows)
+    table = run_pose_ablation(ablation, tmp_path, report=said.append)
     assert said == [f"{name}: scene {k} of 2" for name in ("full", "lenient") for k in (1, 2)]
     full, everything, lenient = table.rows
     assert full.delivered < everything.delivered == lenient.delivered
     assert (full.precision, full.recognition_rate, full.trials) == (1.0, 1.0, 6)
     asked = sum(len(teller.asked) for teller in tellers)
-    assert run_pose_ablation(SCENES, 2, tmp_path, rows=rows).rows == table.rows
+    assert run_pose_ablation(ablation, tmp_path).rows == table.rows
     assert sum(len(teller.asked) for teller in tellers) == asked
     with pytest.raises(ValueError, match="holds an ablation of poses of another configuration"):
-        run_pose_ablation(replace(SCENES, seed=8), 2, tmp_path, rows=rows)
+        run_pose_ablation(replace(ablation, scenes=replace(SCENES, seed=8)), tmp_path)
