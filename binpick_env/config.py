@@ -13,6 +13,7 @@ Backend = Literal["rays", "egl", "raster"]
 SensorPreset = Literal["none", "good", "harsh"]
 SensorChoice = SensorPreset | Literal["mixed"]  # mixed: a preset drawn for each scene
 Perception = Literal["oracle", "gt_masks", "learned"]  # what finds the parts in a frame
+GRIPPER_STROKE = 0.085  # largest distance between the 2F-85's pads [m]: its data sheet
 
 
 def _require(condition: bool, message: str) -> None:
@@ -91,10 +92,13 @@ class RobotConfig:
     max_velocity: float = np.pi  # of every joint [rad/s]: the UR5e's data sheet, 180 deg/s
     max_acceleration: float = 8.0  # of every joint [rad/s^2]; the drives' torque limits allow more near the base
     gripper_time: float = 0.57  # for the jaw's whole stroke [s]: the 2F-85's data sheet, 150 mm/s
+    jaw: float | None = None  # largest opening of the jaw [m]; None for the gripper's own stroke of 0.085 m
 
     def __post_init__(self) -> None:
         for name in ("pedestal_height", "max_velocity", "max_acceleration", "gripper_time"):
             _require(getattr(self, name) > 0, f"{name} must be positive, got {getattr(self, name)}")
+        stroke = f"must be over 0 and at most {GRIPPER_STROKE} m, the 2F-85's stroke"
+        _require(self.jaw is None or 0 < self.jaw <= GRIPPER_STROKE, f"jaw {stroke}, got {self.jaw}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,6 @@
 """``BinPick-v0``: a robot cell that empties a bin."""
 
 import time
-from dataclasses import replace
 from typing import Any, Literal, cast
 
 import gymnasium as gym
@@ -23,7 +22,9 @@ from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorP
 from binpick_env.observation.observed_candidates import ObservedCandidates
 from binpick_env.observation.perceiver import LabelledCapture, PoseNoise, make_perceiver
 from binpick_env.observation.perception_noise import PerceptionNoise
-from binpick_env.parts import Part, load_part
+from binpick_env.options import resolve_cell
+from binpick_env.parts.part import Part, resolve_part
+from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, quat_from_matrix
@@ -48,7 +49,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | index | meaning | range |
     | --- | --- | --- |
     | 0 to 5 | joint positions, base to wrist [rad] | -2 pi to 2 pi (elbow -pi to pi) |
-    | 6 | gripper, 0 open to 1 closed | 0 to 1 |
+    | 6 | gripper, 0 open to 1 closed; clipped where `jaw` limits the opening | 0 to 1 |
 
     ## Observation space
     A flat `Dict` of float32 `Box`es.
@@ -87,13 +88,23 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | name | default | meaning |
     | --- | --- | --- |
     | `part` | `"tee"` | catalogue name, path to an STL, OBJ or PLY file, or a loaded `Part` |
+    | `unit` | `None` | unit of a file's coordinates: `"m"`, `"mm"`, `"cm"`, `"inch"`; guessed from the part's size unless given |
+    | `symmetry` | `"detect"` | `"none"` takes every rotation of the part for another pose |
+    | `density` | `None` | density of the part [kg/m^3]; the catalogue's, or aluminium's for a file |
     | `num_parts` | `(20, 30)` | number of parts, or the range it is drawn from |
     | `perception` | `"learned"` | `"learned"` (from pixels), `"gt_masks"` (true segments) or `"oracle"` (true poses) |
     | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"` |
-    | `camera` | `None` | a `CameraConfig`; its `hand_eye` shifts where it is believed to be |
+    | `bin` | `None` | length, width and height inside the bin [m]; (0.36, 0.26, 0.12) unless given |
+    | `jaw` | `None` | largest opening of the jaw [m], at most the 2F-85's 0.085; action 0 opens it that far |
+    | `friction` | `None` | sliding friction coefficient of parts, bin and tray; 0.5 unless given |
+    | `camera_distance` | `None` | distance of the camera from the bin's floor [m]; 0.9 unless given |
+    | `width` | `None` | width of the image [px]; 1280 unless given |
+    | `height` | `None` | height of the image [px]; 960 unless given |
+    | `hand_eye_mm` | `None` | standard deviation per axis of the error of the camera's reported position [mm]; 0 unless given |
+    | `camera` | `None` | a `CameraConfig`, in place of the four options before |
     | `pose_noise` | `None` | the oracle's: a `PoseNoise`, a `PerceptionNoise`, or `"learned"`: errors such as the learned perceiver's of this part and sensor |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
-    | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts |
+    | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts, camera, in place of the options `bin` to `hand_eye_mm` |
     | `threads` | `None` | threads of the ray caster, and of torch and OpenCV in perception; all cores unless given |
     | `render_mode` | `None` | `"rgb_array"`, `"depth_array"` (the camera's view) or `"human"` (MuJoCo's viewer) |
 
@@ -118,7 +129,27 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         config: CellConfig | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
+        *,
+        unit: Unit | None = None,
+        symmetry: Literal["detect", "none"] = "detect",
+        density: float | None = None,
+        bin: tuple[float, float, float] | None = None,
+        jaw: float | None = None,
+        camera_distance: float | None = None,
+        width: int | None = None,
+        height: int | None = None,
+        hand_eye_mm: float | None = None,
+        friction: float | None = None,
     ) -> None:
+        cell = {
+            "bin": bin,
+            "jaw": jaw,
+            "camera_distance": camera_distance,
+            "width": width,
+            "height": height,
+            "hand_eye_mm": hand_eye_mm,
+            "friction": friction,
+        }
         # A pickled copy is made anew from these; it is the same cell from its first reset(seed) on.
         EzPickle.__init__(
             self,
@@ -132,6 +163,10 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             config=config,
             threads=threads,
             render_mode=render_mode,
+            unit=unit,
+            symmetry=symmetry,
+            density=density,
+            **cell,
         )
         low, high = num_parts if isinstance(num_parts, tuple | list) else (int(num_parts), int(num_parts))
         if not 1 <= low <= high:
@@ -142,10 +177,8 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             raise ValueError(f"obs_mode must be 'state' or 'rgbd', got {obs_mode!r}")
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
-        self.config = config or CellConfig()
-        if camera is not None:
-            self.config = replace(self.config, camera=camera)
-        self.part = part if isinstance(part, Part) else load_part(part)
+        self.config = resolve_cell(config, camera, **cell)
+        self.part = resolve_part(part, unit, symmetry, density)
         self.workspace: Workspace = self.config.bin.workspace()
         if isinstance(pose_noise, str) and pose_noise != "learned":
             raise ValueError(f"pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got {pose_noise!r}")

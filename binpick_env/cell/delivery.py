@@ -109,7 +109,7 @@ class DeliveryJudge:
             gripper: The command in force, 0 open to 1 closed.
         """
         simulation = self._simulation
-        is_open = gripper < OPEN_BELOW
+        is_open = gripper < max(OPEN_BELOW, simulation.gripper_open + 1e-3)  # a narrow jaw's widest counts as open
         if is_open and not self._was_open:
             self._entered.clear()
         self._was_open = is_open

@@ -32,6 +32,7 @@ class KinematicMotion:
         The jaw rests at ``gripper``. Contacts are those of the new place afterwards.
         """
         simulation = self._simulation
+        gripper = max(gripper, simulation.gripper_open)
         simulation.put_arm(target_before, target)
         simulation.put_jaw(self.jaw_posture(gripper), gripper)
         simulation.refresh()

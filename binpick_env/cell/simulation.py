@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from binpick_env.cell.jaw import open_command
 from binpick_env.cell.robot import ARM_JOINTS, FINGER_PADS, GRIPPER, GRIPPER_ACTUATOR, HOME, TCP_SITE
 from binpick_env.cell.scene import BIN_BODY, PART, TABLE_GEOM, TRAY_BODY, cell_spec, parking_poses
 from binpick_env.cell.simulation_state import Origin, SimulationSnapshot
@@ -14,6 +15,7 @@ from binpick_env.parts import Part
 from perception.geometry import Floats, make_transform, matrix_from_quat, quat_from_matrix
 
 ARENA = 128 << 20  # for contacts and constraints [bytes]
+_JAW_REST = 1.0  # time after which the jaw's linkage is at rest under a new command [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +34,11 @@ class Push:
 
 
 class Simulation:
-    """One cell with room for ``capacity`` copies of a part; those out of play hang parked, weightless and asleep."""
+    """One cell with room for ``capacity`` copies of a part; those out of play hang parked, weightless and asleep.
+
+    Attributes:
+        gripper_open: Smallest gripper command that is obeyed: 0, or that of ``config.robot.jaw`` where one is set.
+    """
 
     def __init__(self, config: CellConfig, part: Part, capacity: int) -> None:
         self.config = config
@@ -53,7 +59,10 @@ class Simulation:
         # Noslip keeps a gripped part from creeping; over a heap in motion it costs two thirds of the time for nothing.
         self._noslip = int(self.model.opt.noslip_iterations)
         self.substeps = round(CONTROL_PERIOD / self.model.opt.timestep)
+        self.gripper_open = 0.0
         self.reset()
+        if config.robot.jaw is not None:
+            self._limit_jaw(config.robot.jaw)
 
     def _index(self) -> None:
         model = self.model
@@ -95,7 +104,9 @@ class Simulation:
         self.in_play: NDArray[np.bool_] = np.zeros(self.capacity, dtype=bool)
         self.target = HOME.copy()
         self._target_before = HOME.copy()
-        self.gripper_target = 0.0
+        self.gripper_target = self.gripper_open
+        if self.gripper_open > 0:
+            self.put_jaw(self._open_posture, self.gripper_open)
         for i in range(self.capacity):
             self.park(i)
         mujoco.mj_forward(self.model, self.data)
@@ -214,7 +225,7 @@ class Simulation:
         Args:
             joint_targets: (6,) arm joint positions to be reached at the period's end [rad]; the change from the last
                 target is held to the arm's velocity.
-            gripper: 0 open to 1 closed; held to the jaw's speed.
+            gripper: 0 open to 1 closed; held to the jaw's speed, and to its largest opening.
         """
         reach = self.config.robot.max_velocity * CONTROL_PERIOD
         goal = self.target + np.clip(joint_targets - self.target, -reach, reach)
@@ -272,6 +283,13 @@ class Simulation:
 
     # --- inside ----------------------------------------------------------------------------------------------------
 
+    def _limit_jaw(self, jaw: float) -> None:
+        """Let the jaw open no wider than ``jaw`` [m] from now on, and put everything back to its start."""
+        command = open_command(jaw)
+        self._open_posture = self.jaw_postures(np.array([command]), _JAW_REST)[0]
+        self.gripper_open = command
+        self.reset()
+
     def _wake(self, parts: NDArray[np.bool_]) -> None:
         """Wake those of the (capacity,) parts that sleep.
 
@@ -293,7 +311,7 @@ class Simulation:
     def _jaw_ramp(self, gripper: float) -> tuple[float, float]:
         """Return the jaw's target at the period's start and end; opening begins where the jaw is, not its target."""
         stroke = CONTROL_PERIOD / self.config.robot.gripper_time
-        goal = float(np.clip(gripper, 0.0, 1.0))
+        goal = float(np.clip(gripper, self.gripper_open, 1.0))
         start = min(self.gripper_target, self.gripper_position) if goal < self.gripper_target else self.gripper_target
         return start, start + float(np.clip(goal - start, -stroke, stroke))
 

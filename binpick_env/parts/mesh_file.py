@@ -2,12 +2,11 @@
 
 import logging
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import trimesh
 
-from binpick_env.parts.unit import METRES, Unit
+from binpick_env.parts.unit import METRES, Unit, check_unit
 from perception.part import diameter
 
 log = logging.getLogger(__name__)
@@ -35,7 +34,7 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
     """
     mesh = _parse(path)
     size = diameter(mesh.vertices)
-    read_as = _checked(unit) if unit is not None else _guessed_unit(path, size)
+    read_as = check_unit(unit) if unit is not None else _guessed_unit(path, size)
     scale = METRES[read_as]
     if not D_MAX[0] <= size * scale <= D_MAX[1]:
         raise ValueError(
@@ -78,12 +77,6 @@ def _parse(path: Path) -> trimesh.Trimesh:
     if np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=1e-6 * float(mesh.scale)) < 3:
         raise ValueError(f"{path} is flat: a part must enclose a volume")
     return mesh
-
-
-def _checked(unit: str) -> str:
-    if unit not in METRES:
-        raise ValueError(f"unit must be one of {', '.join(get_args(Unit))}, got {unit!r}")
-    return unit
 
 
 def _guessed_unit(path: Path, size: float) -> str:

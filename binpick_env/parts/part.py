@@ -9,16 +9,15 @@ import numpy as np
 import trimesh
 
 from binpick_env.parts.catalogue import CATALOGUE, design
+from binpick_env.parts.density import FILE_DENSITY, check_density
 from binpick_env.parts.mesh_file import read_mesh
 from binpick_env.parts.pieces import convex_pieces
 from binpick_env.parts.symmetry import detect_symmetry
-from binpick_env.parts.unit import Unit
+from binpick_env.parts.unit import Unit, check_unit
 from perception.geometry import Floats
 from perception.part import PartModel, Symmetry
 
 SymmetryChoice = Symmetry | Literal["detect", "none"]
-FILE_DENSITY = 2700.0  # aluminium [kg/m^3], where a file's caller names none
-DENSITIES = (10.0, 25_000.0)  # from foam to just above osmium [kg/m^3]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,10 +71,10 @@ def load_part(
         A catalogue part takes 0.1 s. A file takes seconds at first, for its pieces; they are cached on disk.
     """
     name = str(name_or_path)
-    if density is not None and not DENSITIES[0] <= density <= DENSITIES[1]:
-        raise ValueError(
-            f"density must be {DENSITIES[0]:g} to {DENSITIES[1]:g} kg/m^3 (aluminium: 2700), got {density}"
-        )
+    if unit is not None:
+        check_unit(unit)
+    if density is not None:
+        check_density(density)
     if not (isinstance(symmetry, Symmetry) or symmetry in ("detect", "none")):
         raise ValueError(f"symmetry must be 'detect', 'none' or a Symmetry, got {symmetry!r}")
     if name in CATALOGUE:
@@ -88,6 +87,21 @@ def load_part(
             f"part must be one of {', '.join(CATALOGUE)}, or a path to a .stl, .obj or .ply file, got {name!r}"
         )
     return _file_part(path, unit, symmetry, density or FILE_DENSITY)
+
+
+def resolve_part(part: str | Path | Part, unit: Unit | None, symmetry: SymmetryChoice, density: float | None) -> Part:
+    """Return a part given as such, or load it; ``unit``, ``symmetry`` and ``density`` as in :func:`load_part`.
+
+    Raises:
+        ValueError: An option is given beside a part that is loaded already, or the part cannot be loaded.
+    """
+    if not isinstance(part, Part):
+        return load_part(part, unit=unit, symmetry=symmetry, density=density)
+    given = {"unit": unit is not None, "symmetry": symmetry != "detect", "density": density is not None}
+    twice = [name for name, is_given in given.items() if is_given]
+    if twice:
+        raise ValueError(f"{', '.join(twice)} cannot be given beside a loaded part: give it to load_part")
+    return part
 
 
 @lru_cache(maxsize=32)

@@ -79,6 +79,15 @@ def time_of_the_jaw(simulation: Simulation) -> float:
     return CONTROL_PERIOD / simulation.gripper_target
 
 
+def opening_of_the_jaw(simulation: Simulation) -> float:
+    """Return how far the pads are apart after an attempt to close the jaw and to open it wide [m], in tenths of mm."""
+    wait(simulation, 0.2, gripper=1.0)
+    wait(simulation, 1.0, gripper=0.0)
+    left, right = (simulation.model.geom(side[0]).id for side in FINGER_PADS)
+    mujoco.mj_kinematics(simulation.model, simulation.data)
+    return round(float(mujoco.mj_geomDistance(simulation.model, simulation.data, left, right, 0.2, None)), 4)
+
+
 def length_of_ten_steps(simulation: Simulation) -> tuple[float, int]:
     wait(simulation, 10 * CONTROL_PERIOD)
     return simulation.time, simulation.substeps
@@ -106,6 +115,7 @@ SETTINGS = {
     "robot.pedestal_height": (RobotConfig(pedestal_height=0.3), lambda s: s.data.body("base").xpos[2], 0.3),
     "robot.max_velocity": (RobotConfig(max_velocity=1.5), speed_of_a_joint, 1.5),
     "robot.gripper_time": (RobotConfig(gripper_time=1.0), time_of_the_jaw, 1.0),
+    "robot.jaw": (RobotConfig(jaw=0.04), opening_of_the_jaw, 0.04),
     "contact.condim": (ContactConfig(condim=4), contact_of("geom_condim"), (4,)),
     "contact.friction": (ContactConfig(friction=(0.3, 0.01, 0.001)), contact_of("geom_friction"), (0.3, 0.01, 0.001)),
     "contact.solref": (ContactConfig(solref=(0.02, 0.9)), contact_of("geom_solref"), (0.02, 0.9)),
@@ -123,7 +133,7 @@ SETTINGS = {
     "timestep": (0.004, length_of_ten_steps, (0.4, 10)),
 }
 SETTINGS["bin.position"] = (*SETTINGS["bin.position"][:2], (0.26, 0.36, *HERE))
-# The first is the planner's, see tests/test_policies/test_motion.py; the camera's are in test_env_observations.py.
+# The first is the planner's, see tests/policies/motion; the camera's are in test_env_observations.py.
 ELSEWHERE = {"robot.max_acceleration", "camera"}
 
 

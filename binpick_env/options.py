@@ -1,0 +1,134 @@
+"""The options of a cell that a user changes most, as flat values: environments and command lines share them."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from binpick_env.config import (
+    Backend,
+    BinConfig,
+    CameraConfig,
+    CellConfig,
+    ContactConfig,
+    RobotConfig,
+    SensorPreset,
+    TrayConfig,
+)
+from binpick_env.parts.density import check_density
+from binpick_env.parts.unit import Unit, check_unit
+
+if TYPE_CHECKING:
+    from binpick_env.parts.part import Part
+
+MAX_FRICTION = 2.0  # rubber on dry concrete reaches 1; what exceeds this is a percentage or a mistake
+MAX_HAND_EYE_MM = 15.0  # [mm]; the limit of `CameraConfig.hand_eye`
+_PEDESTAL_HALF = 0.09  # half the side of the robot's pedestal, which stands at the world's origin [m]
+# The arguments of an environment that hold other options: what may not be given beside them.
+_IN_CAMERA = ("camera_distance", "width", "height", "hand_eye_mm")
+_IN_CONFIG = ("bin", "jaw", "friction", *_IN_CAMERA)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellOptions:
+    """What is picked, in which bin, by which jaw, under which camera. The defaults are the standard cell."""
+
+    part: str = "tee"  # catalogue name, or path to a mesh file
+    unit: Unit | None = None  # unit of a mesh file's coordinates; guessed from the part's size unless given
+    symmetry: Literal["detect", "none"] = "detect"  # "none" takes every rotation of the part for another pose
+    density: float | None = None  # density of the part [kg/m^3]; the catalogue's, or aluminium's for a file
+    bin: tuple[float, float, float] | None = None  # length, width, height inside the bin [m]; the standard bin's
+    jaw: float | None = None  # largest opening of the jaw [m]; the gripper's own unless given
+    camera_distance: float = 0.9  # distance of the camera from the bin's floor [m]
+    width: int = 1280  # width of the image [px]
+    height: int = 960  # height of the image [px]
+    backend: Backend = "raster"  # what renders the depth image
+    sensor: SensorPreset = "good"  # noise of the depth image
+    hand_eye_mm: float = 0.0  # standard deviation per axis of the error of the camera's reported position [mm]
+    friction: float | None = None  # sliding friction coefficient of parts, bin and tray; the cell's own unless given
+
+    def __post_init__(self) -> None:
+        if self.unit is not None:
+            check_unit(self.unit)
+        if self.symmetry not in ("detect", "none"):
+            raise ValueError(f"symmetry must be 'detect' or 'none', got {self.symmetry!r}")
+        if self.density is not None:
+            check_density(self.density)
+        if self.sensor not in get_args(SensorPreset):
+            raise ValueError(f"sensor must be one of {', '.join(get_args(SensorPreset))}, got {self.sensor!r}")
+        if self.bin is not None:
+            _check_bin(self.bin)
+        floor = max(0.2, BinConfig().inner_size[2] if self.bin is None else self.bin[2])
+        if not floor < self.camera_distance < np.inf:
+            raise ValueError(
+                f"camera_distance must exceed 0.2 m and the bin's height: {floor} m, got {self.camera_distance}"
+            )
+        if not 0 <= self.hand_eye_mm <= MAX_HAND_EYE_MM:
+            raise ValueError(f"hand_eye_mm must be from 0 to {MAX_HAND_EYE_MM:g} mm, got {self.hand_eye_mm}")
+        if self.friction is not None and not 0 <= self.friction <= MAX_FRICTION:
+            raise ValueError(f"friction must be from 0 to {MAX_FRICTION:g}, got {self.friction}")
+        self.cell()  # what the cell's own settings refuse: jaw, image size, backend
+
+    def load_part(self) -> "Part":
+        """Load the part.
+
+        Raises:
+            ValueError: There is no such part, or its file does not hold a watertight mesh of a part's size.
+            FileNotFoundError: There is no such file.
+        """
+        # Here, since command lines read the options and must not load the mesh libraries for that.
+        from binpick_env.parts.part import load_part
+
+        return load_part(self.part, unit=self.unit, symmetry=self.symmetry, density=self.density)
+
+    def cell(self) -> CellConfig:
+        """Return the cell's settings."""
+        contact = ContactConfig()
+        if self.friction is not None:
+            contact = replace(contact, friction=(self.friction, *contact.friction[1:]))
+        camera = CameraConfig(
+            width=self.width,
+            height=self.height,
+            distance=self.camera_distance,
+            hand_eye=self.hand_eye_mm / 1000,
+            backend=self.backend,
+        )
+        return CellConfig(
+            bin=BinConfig() if self.bin is None else BinConfig(inner_size=tuple(self.bin)),
+            robot=RobotConfig(jaw=self.jaw),
+            contact=contact,
+            camera=camera,
+        )
+
+
+def resolve_cell(config: CellConfig | None, camera: CameraConfig | None, **options: Any) -> CellConfig:
+    """Return the cell that an environment's arguments describe: as a whole, or option by option.
+
+    Args:
+        config: The whole cell; None for the standard one with the options below.
+        camera: The camera, in place of the config's; None leaves it.
+        options: Fields of :class:`CellOptions` that ``config`` or ``camera`` contain; None where not given.
+
+    Raises:
+        ValueError: An option is given beside the config or the camera that contains it, or has no meaning.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    for whole, name, contained in ((config, "config", _IN_CONFIG), (camera, "camera", _IN_CAMERA)):
+        twice = [option for option in given if option in contained]
+        if whole is not None and twice:
+            raise ValueError(f"{', '.join(twice)} cannot be given beside {name}, which contains it: set it in {name}")
+    cell = config or CellOptions(**given).cell()
+    return cell if camera is None else replace(cell, camera=camera)
+
+
+def _check_bin(inner_size: tuple[float, float, float]) -> None:
+    """Refuse a bin that is none, or that overlaps the robot's pedestal or the tray."""
+    if len(inner_size) != 3 or not all(0 < side < np.inf for side in inner_size):
+        raise ValueError(f"bin must be length, width and height inside [m], all positive, got {inner_size}")
+    standard, tray = BinConfig(), TrayConfig()  # the bin's length lies along the world's y axis
+    beside = abs(standard.position[1] - tray.position[1]) - tray.inner_size[1] / 2 - tray.wall
+    length, width = 2 * (beside - standard.wall), 2 * (standard.position[0] - _PEDESTAL_HALF - standard.wall)
+    if inner_size[0] > length + 1e-9 or inner_size[1] > width + 1e-9:
+        raise ValueError(
+            f"bin may be up to {length:.2f} m long and {width:.2f} m wide between robot and tray, got {inner_size}"
+        )
