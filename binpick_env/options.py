@@ -83,7 +83,7 @@ class CellOptions:
 
     def cell(self) -> CellConfig:
         """Return the cell's settings."""
-        contact = ContactConfig()
+        standard, contact = BinConfig(), ContactConfig()
         if self.friction is not None:
             contact = replace(contact, friction=(self.friction, *contact.friction[1:]))
         camera = CameraConfig(
@@ -94,7 +94,7 @@ class CellOptions:
             backend=self.backend,
         )
         return CellConfig(
-            bin=BinConfig() if self.bin is None else BinConfig(inner_size=tuple(self.bin)),
+            bin=standard if self.bin is None else replace(standard, inner_size=(self.bin[0], self.bin[1], self.bin[2])),
             robot=RobotConfig(jaw=self.jaw),
             contact=contact,
             camera=camera,
