@@ -7,7 +7,7 @@ from pathlib import Path
 import tyro
 
 from binpick_env.config import SensorPreset
-from binpick_env.evaluation.noise_fit import fit_noise, look_at_bins, save_noise
+from binpick_env.evaluation.noise_fit import fit_noise, observe_bins, save_noise
 from binpick_env.observation.perception_noise import SHIPPED
 from perception.runtime.provenance import command_line, git_commit
 
@@ -30,7 +30,7 @@ def main(args: Arguments) -> int:
     """Fit; return the exit code."""
     filled = args.min_parts, args.max_parts
     try:
-        frames = look_at_bins(
+        frames = observe_bins(
             args.part, args.bins, args.seed, sensor=args.sensor, num_parts=filled, workers=args.workers
         )
         facts = {"command": command_line(), "commit": git_commit(), "seed": args.seed, "bins": args.bins}

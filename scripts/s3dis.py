@@ -12,7 +12,7 @@ import torch
 import tyro
 from tqdm import tqdm
 
-from binpick_env.jobs.folder_claim import claim
+from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import WorkerError, map_indices
 from binpick_env.jobs.text_tables import columns
 from perception.runtime.files import write_atomically
@@ -46,7 +46,7 @@ class Synthesize:
     def run(self) -> None:
         """Write the rooms."""
         config = SynthesisConfig(seed=self.seed, density=self.density)
-        claim(self.out / "synthetic.json", asdict(config), "rooms")
+        ensure_same_config(self.out / "synthetic.json", asdict(config), "rooms")
         list(_bar(synthesize_rooms(config, self.rooms, self.out, _processes(self.workers)), self.rooms))
         print(f"{self.rooms} rooms in {self.out}")
 

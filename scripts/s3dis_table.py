@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 from tqdm import tqdm
 
-from binpick_env.jobs.folder_claim import claim
+from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import WorkerError, map_indices
 from binpick_env.jobs.text_tables import columns
 from perception.runtime.files import write_atomically
@@ -35,7 +35,7 @@ class Arguments(TableConfig):
 def main(args: Arguments) -> int:
     """Make the table; return the exit code."""
     try:
-        claim(args.out / "table.json", args.note(), "trainings")
+        ensure_same_config(args.out / "table.json", args.note(), "trainings")
         judged = judge_rows(args, args.out, partial(map_indices, workers=args.workers))
         rows = tabulate(list(tqdm(judged, total=args.trainings, unit="training")), np.random.default_rng(0))
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""From what a perceiver made of many bins to the model of its errors."""
+"""Fit a model of the perceiver's errors to its candidates in many bins."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -17,96 +17,101 @@ from binpick_env.observation.perception_noise import NOISE_VERSION, NoiseBin, Pe
 from perception.metrics.pose_error import is_recognised, pose_error
 from perception.runtime.files import json_text, write_atomically
 
-EDGES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # upper ends of the bins
-QUANTILES = 11
-_ENOUGH = 20  # poses from which a bin has a spread of its own
+EDGES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # upper limits of visible fraction
+QUANTILES = 11  # number of quantiles that describe a distribution
+_MIN_POSES = 20  # correct poses that a visibility bin needs for error quantiles of its own
 
 
 @dataclass(frozen=True, kw_only=True)
 class PartObservation:
-    """What became of one part in one frame.
+    """One part in one frame, and the best candidate of it.
 
     Attributes:
-        visible: True visible fraction, above 0.
-        offered: Whether there is a candidate of it; without one, what follows means nothing.
-        right: Whether its pose is within a tenth of d_max and 5 deg.
-        translation: Error at the part's centre [m].
-        rotation: Error modulo symmetry [rad].
-        score: Confidence.
-        seen: Estimated visible fraction.
-        fill: Visible boundary points over P.
+        visible_fraction: True visible fraction, above 0.
+        detected: Whether there is a candidate of the part; all other attributes are meaningless if not.
+        correct: Whether the candidate's pose is within 0.1 d_max and 5 deg of the true one.
+        translation_error: Position error at the part's centre [m].
+        rotation_error: Rotation error modulo symmetry [rad].
+        score: Confidence of the candidate, in [0, 1].
+        estimated_fraction: Visible fraction that the perceiver estimated.
+        fill: Number of visible boundary points over P, that of a whole part.
     """
 
-    visible: float
-    offered: bool = False
-    right: bool = False
-    translation: float = 0.0
-    rotation: float = 0.0
+    visible_fraction: float
+    detected: bool = False
+    correct: bool = False
+    translation_error: float = 0.0
+    rotation_error: float = 0.0
     score: float = 0.0
-    seen: float = 0.0
+    estimated_fraction: float = 0.0
     fill: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameObservation:
-    """What became of the parts of one frame, and the scores of candidates that are no part's, or a part's second."""
+    """The visible parts of one frame, and the candidates that are not the best one of any part.
+
+    Attributes:
+        parts: Visible parts, each with its best candidate.
+        false_scores: Confidences of the false and duplicate candidates, in [0, 1].
+    """
 
     parts: tuple[PartObservation, ...]
     false_scores: tuple[float, ...]
 
 
-def sight(view: LabelledCapture, observed: ObservedCandidates) -> FrameObservation:
-    """Judge the candidates of a frame; of several of one part the best-scored counts."""
+def compare_with_truth(view: LabelledCapture, observed: ObservedCandidates) -> FrameObservation:
+    """Compare the candidates of a frame with its parts; a part is represented by its candidate of the highest score."""
     parts: list[PartObservation] = []
-    first: set[int] = set()
+    matched: set[int] = set()
     for i in np.flatnonzero(view.visible_fractions > 0):
         visible = float(view.visible_fractions[i])
         own = [k for k, candidate in enumerate(observed.candidates) if candidate.part == i]
         if not own:
-            parts.append(PartObservation(visible=visible))
+            parts.append(PartObservation(visible_fraction=visible))
             continue
         best = max(own, key=lambda k: observed.candidates[k].score)
-        first.add(best)
+        matched.add(best)
         candidate = observed.candidates[best]
         error = pose_error(candidate.T_world_part, view.T_reported_parts[i], view.part)
         parts.append(
             PartObservation(
-                visible=visible,
-                offered=True,
-                right=is_recognised(error, view.part.d_max),
-                translation=error.translation,
-                rotation=error.rotation,
+                visible_fraction=visible,
+                detected=True,
+                correct=is_recognised(error, view.part.d_max),
+                translation_error=error.translation,
+                rotation_error=error.rotation,
                 score=float(candidate.score),
-                seen=float(candidate.visible_fraction),
+                estimated_fraction=float(candidate.visible_fraction),
                 fill=float(candidate.fill),
             )
         )
-    others = tuple(float(c.score) for k, c in enumerate(observed.candidates) if k not in first)
+    others = tuple(float(c.score) for k, c in enumerate(observed.candidates) if k not in matched)
     return FrameObservation(parts=tuple(parts), false_scores=others)
 
 
-def look_at_bins(
+def observe_bins(
     part: str, bins: int, seed: int, *, sensor: SensorPreset, num_parts: tuple[int, int], workers: int = 1
 ) -> list[FrameObservation]:
-    """Let the learned perceiver look at settled bins of few to many parts, once each.
+    """Run the learned perceiver once on each of many settled bins.
 
     Args:
-        part: Catalogue name, with weights.
-        bins: How many.
-        seed: Bin i has numpy's SeedSequence over (seed, i).
-        sensor: Depth noise.
-        num_parts: Smallest and largest fill; small ones stand for bins that have been picked for a while.
-        workers: Processes.
+        part: Catalogue name of a part that has network weights.
+        bins: Number of bins.
+        seed: Seed of all bins; bin i is drawn from (seed, i).
+        sensor: Preset of the depth sensor's noise.
+        num_parts: Smallest and largest number of parts in a bin; small numbers represent bins that are nearly empty.
+        workers: Number of worker processes.
     """
-    look = partial(_look, part, sensor, num_parts, seed)
-    found = dict(map_indices(look, range(bins), workers))
-    return [found[index] for index in range(bins)]
+    observe = partial(_observe_bin, part, sensor, num_parts, seed)
+    frames = dict(map_indices(observe, range(bins), workers))
+    return [frames[index] for index in range(bins)]
 
 
-_cells: dict[tuple[Any, ...], BinPickEnv] = {}  # of this process: to build one takes seconds
+_cells: dict[tuple[Any, ...], BinPickEnv] = {}  # environments of this process, each of which takes seconds to build
 
 
-def _look(
+def _observe_bin(
     part: str, sensor: SensorPreset, num_parts: tuple[int, int], seed: int, index: int
 ) -> tuple[int, FrameObservation]:
     key = (part, sensor, num_parts)
@@ -114,25 +119,29 @@ def _look(
         _cells[key] = BinPickEnv(part, num_parts=num_parts, perception="learned", sensor=sensor, threads=1)
     env = _cells[key]
     env.reset(seed=int(np.random.SeedSequence([seed, index]).generate_state(1)[0]))
-    return index, sight(env.labelled_capture, env.observed)
+    return index, compare_with_truth(env.labelled_capture, env.observed)
 
 
 def fit_noise(frames: Sequence[FrameObservation], provenance: dict[str, Any] | None = None) -> PerceptionNoise:
-    """Fit the model to judged frames.
+    """Fit the noise model to frames.
+
+    Args:
+        frames: Frames whose candidates were compared with the truth.
+        provenance: Origin of the frames, which is saved with the model.
 
     Raises:
-        ValueError: No right pose is among them, so that nothing is known of their errors.
+        ValueError: The frames hold no correct pose, so that the errors of correct poses are unknown.
     """
     rows = [part for frame in frames for part in frame.parts]
-    offered = [row for row in rows if row.offered]
-    right = [row for row in offered if row.right]
-    if not right:
-        raise ValueError(f"{len(frames)} frames hold no right pose: there is nothing to fit")
-    pooled = _spread_of(right)
+    detected = [row for row in rows if row.detected]
+    correct = [row for row in detected if row.correct]
+    if not correct:
+        raise ValueError(f"{len(frames)} frames hold no correct pose: there is nothing to fit")
+    pooled = _spread_of(correct)
     scores = [score for frame in frames for score in frame.false_scores]
     return PerceptionNoise(
         bins=tuple(_bin(rows, low, high, pooled) for low, high in zip((0.0, *EDGES), EDGES, strict=False)),
-        wrong=_spread_of([row for row in offered if not row.right] or right),
+        wrong=_spread_of([row for row in detected if not row.correct] or correct),
         false_rate=len(scores) / len(frames),
         false_score=_quantiles(scores) if scores else (0.0, 1.0),
         provenance=provenance or {},
@@ -140,32 +149,33 @@ def fit_noise(frames: Sequence[FrameObservation], provenance: dict[str, Any] | N
 
 
 def save_noise(path: Path, noise: PerceptionNoise) -> None:
-    """Write a model as JSON, in one piece."""
+    """Write a noise model as JSON, atomically."""
     write_atomically(path, json_text({"version": NOISE_VERSION, **asdict(noise)}))
 
 
 def _bin(rows: Sequence[PartObservation], low: float, high: float, pooled: Spread) -> NoiseBin:
-    own = [row for row in rows if low < row.visible <= high]
-    offered = [row for row in own if row.offered]
-    right = [row for row in offered if row.right]
-    gap = np.array([row.seen - row.visible for row in offered]) if offered else np.zeros(1)
-    fill = sum(row.fill for row in offered) / sum(row.visible for row in offered) if offered else 1.0
+    """Fit one bin of visible fractions in (low, high]; with too few correct poses it has the pooled error quantiles."""
+    own = [row for row in rows if low < row.visible_fraction <= high]
+    detected = [row for row in own if row.detected]
+    correct = [row for row in detected if row.correct]
+    bias = np.array([row.estimated_fraction - row.visible_fraction for row in detected]) if detected else np.zeros(1)
+    fill = sum(row.fill for row in detected) / sum(row.visible_fraction for row in detected) if detected else 1.0
     return NoiseBin(
         high=high,
         count=len(own),
-        offered=len(offered) / max(len(own), 1),
-        wrong=1 - len(right) / len(offered) if offered else 0.0,
-        spread=_spread_of(right) if len(right) >= _ENOUGH else pooled,
-        visible_bias=float(gap.mean()),
-        visible_sigma=float(gap.std()),
+        offered=len(detected) / max(len(own), 1),
+        wrong=1 - len(correct) / len(detected) if detected else 0.0,
+        spread=_spread_of(correct) if len(correct) >= _MIN_POSES else pooled,
+        visible_bias=float(bias.mean()),
+        visible_sigma=float(bias.std()),
         fill_ratio=fill,
     )
 
 
 def _spread_of(rows: Sequence[PartObservation]) -> Spread:
     return Spread(
-        translation=_quantiles([row.translation for row in rows]),
-        rotation=_quantiles([row.rotation for row in rows]),
+        translation=_quantiles([row.translation_error for row in rows]),
+        rotation=_quantiles([row.rotation_error for row in rows]),
         score=_quantiles([row.score for row in rows]),
     )
 

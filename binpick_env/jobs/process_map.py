@@ -1,4 +1,4 @@
-"""A map of a pure function over indices: in this process, or in many of this machine's."""
+"""Map a pure function over indices, in this process or in several worker processes of this machine."""
 
 import multiprocessing
 import os
@@ -27,18 +27,18 @@ def map_indices(
     initializer: Callable[..., None] | None = None,
     initargs: tuple[Any, ...] = (),
 ) -> Iterator[Result]:
-    """Yield ``work(index)`` for every index, as they are finished; each worker computes on one core.
+    """Yield ``work(index)`` for every index in order of completion; each worker computes on one core.
 
     Args:
-        work: Picklable; every process starts with an empty memory.
-        indices: Any order.
-        workers: Processes; 1 computes in this one, in order.
-        initializer: Called once in each new process.
-        initargs: Its arguments.
+        work: Function of an index. It must be picklable; worker processes share no state with this one.
+        indices: Indices to compute.
+        workers: Number of worker processes. With 1 the work is done in this process, in the order of the indices.
+        initializer: Function that each new worker process calls once.
+        initargs: Arguments of the initializer.
 
     Raises:
         ValueError: ``workers`` is not positive.
-        WorkerError: A process was killed; what was yielded stays.
+        WorkerError: A worker process was killed; the results yielded before remain valid.
     """
     if workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
@@ -64,14 +64,14 @@ def map_indices(
             raise WorkerError("a worker was killed, perhaps for want of memory; try fewer workers") from error
         except (KeyboardInterrupt, GeneratorExit):
             for child in set(multiprocessing.active_children()) - before:
-                child.terminate()  # files are whole or absent: nothing but the work under way is lost
+                child.terminate()  # results are written atomically: only unfinished work is lost
             raise
         finally:
             executor.shutdown(wait=True, cancel_futures=True)
 
 
 def _start_worker(initializer: Callable[..., None] | None, initargs: tuple[Any, ...]) -> None:
-    """Leave Ctrl-C, which reaches every process of the terminal, to the parent; compute on one core."""
+    """Ignore Ctrl-C, which reaches every process of the terminal and is the parent's to handle; compute on one core."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
@@ -80,7 +80,7 @@ def _start_worker(initializer: Callable[..., None] | None, initargs: tuple[Any, 
 
 
 def _end_with_parent() -> None:
-    """Wait for the parent's end, and do not outlive it: a parent that is killed tells its workers nothing."""
+    """Wait for the parent to end, then exit: a parent that is killed cannot stop its workers."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

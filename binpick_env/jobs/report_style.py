@@ -1,4 +1,4 @@
-"""The reports' look: their style sheet and the few HTML pieces they are put together from. No network, no scripts."""
+"""Style sheet and HTML elements of the reports, which load nothing from a network and run no scripts."""
 
 import base64
 from collections.abc import Sequence
@@ -55,7 +55,7 @@ h3 { font-size: 15px; margin: 16px 0 8px; } h3:first-child { margin-top: 0; }
 
 
 def page(title: str, body: str, wide: bool = False) -> str:
-    """Return a whole HTML document; ``wide`` for rows of pictures."""
+    """Return an HTML document; ``wide`` gives rows of pictures more room."""
     head = f"<meta charset='utf-8'><meta name='viewport' content='width=device-width'><title>{escape(title)}</title>"
     head += f"<style>{CSS}</style>"
     main = f"<main{' class=wide' if wide else ''}>{body}</main>"
@@ -63,7 +63,7 @@ def page(title: str, body: str, wide: bool = False) -> str:
 
 
 def tile(name: str, value: str, note: str, bounds: tuple[float, float, float] | None = None) -> str:
-    """Return a headline number; ``bounds`` are the interval's ends and the estimate, on a track from 0 to 1."""
+    """Return a card with one number; ``bounds`` (low, high, estimate) in [0, 1] are drawn as a bar below it."""
     track = ""
     if bounds is not None:
         low, high, estimate = (100 * min(max(x, 0.0), 1.0) for x in bounds)
@@ -74,7 +74,7 @@ def tile(name: str, value: str, note: str, bounds: tuple[float, float, float] | 
 
 
 def bars(rows: Sequence[tuple[str, int, str]], total: int) -> str:
-    """Return horizontal bars of (name, count, class) against ``total``."""
+    """Return horizontal bars, one for each (name, count, CSS class), whose full length is ``total``."""
     lines = []
     for name, count, kind in rows:
         share = count / total if total else 0.0
@@ -86,7 +86,7 @@ def bars(rows: Sequence[tuple[str, int, str]], total: int) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[int] = (0,)) -> str:
-    """Return a table of ready-made HTML cells; columns not in ``words`` hold numbers and go to the right."""
+    """Return a table of HTML cells; columns not in ``words`` hold numbers and are flush right."""
 
     def line(cells: Sequence[str], tag: str) -> str:
         marked = (f"<{tag}{'' if k in words else ' class=n'}>{cell}</{tag}>" for k, cell in enumerate(cells))
@@ -102,20 +102,20 @@ def tag(text: str, kind: str) -> str:
 
 
 def figure(path: Path, caption: str) -> str:
-    """Return a picture with its bytes inside, or a note where the file is gone."""
+    """Return a JPEG file as an inline figure, or a note if the file does not exist."""
     if not path.is_file():
         return f"<figure><p>no picture</p><figcaption>{caption}</figcaption></figure>"
     return inline_figure(path.read_bytes(), "jpeg", caption)
 
 
 def inline_figure(data: bytes, kind: str, caption: str) -> str:
-    """Return a picture whose bytes are those of a ``jpeg`` or ``png`` file."""
+    """Return an inline figure of an encoded picture, whose ``kind`` is ``jpeg`` or ``png``."""
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     return f"<figure><img alt='' src='{source}'><figcaption>{caption}</figcaption></figure>"
 
 
 def curves(lines: Sequence[tuple[str, Sequence[tuple[float, float]]]], across: str, up: str) -> str:
-    """Return a drawing of up to three named curves of (x, y) in [0, 1], with its axes' names."""
+    """Return an SVG plot of up to three named curves of (x, y) in [0, 1], with the names of both axes."""
     left, top, size = 44, 12, 340
 
     def at(x: float, y: float) -> str:

@@ -1,12 +1,12 @@
-"""The pieces that results are printed with: aligned columns, numbers that may be missing."""
+"""Format results for the terminal: aligned columns, and a dash for a missing number."""
 
 from collections.abc import Sequence
 
-WIDTH = 78  # of a result in the terminal
+WIDTH = 78  # width of a table in the terminal [characters]
 
 
 def columns(rows: Sequence[Sequence[str]]) -> str:
-    """Align rows of cells, the first column to the left, the others to the right."""
+    """Return rows of cells as aligned text, the first column flush left, the others flush right."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = []
     for first, *others in rows:
@@ -16,15 +16,15 @@ def columns(rows: Sequence[Sequence[str]]) -> str:
 
 
 def percent(value: float | None) -> str:
-    """Return a share in per cent, or a dash."""
+    """Return a fraction in per cent, or a dash for None."""
     return "–" if value is None else f"{100 * value:.1f} %"
 
 
 def number(value: float | None, digits: int) -> str:
-    """Return a number, or a dash."""
+    """Return a number with so many decimal places, or a dash for None."""
     return "–" if value is None else f"{value:.{digits}f}"
 
 
 def spread(interval: tuple[float, float] | None) -> str:
-    """Return an interval of whole numbers, or a dash."""
+    """Return an interval of whole numbers, or a dash for None."""
     return "–" if interval is None else f"{interval[0]:.0f} to {interval[1]:.0f}"

@@ -1,27 +1,27 @@
-"""How often a boundary point lies on the wrong side of a contour; needs the truth that only a simulation has."""
+"""Count the boundary points on the wrong side of a contour, by the true depth of a simulated capture."""
 
 import numpy as np
 
 from binpick_env.camera.depth_camera import Capture
 from perception.boundary import BoundaryCloud
 
-RADIUS = 2  # of the patch that decides whether a point is beside a contour [px]
-STEP = 0.003  # nearer than the point's own surface by less than this is no other side [m]
+RADIUS = 2  # half the edge of the patch in which a contour is looked for [px]
+STEP = 0.003  # smallest depth step that counts as a contour with two sides [m]
 
 
 def wrong_side(capture: Capture, boundary: BoundaryCloud) -> tuple[int, int]:
     """Count the points on the wrong side of a contour, and all points at contours.
 
     A point is at a contour if its 5 x 5 patch shows two parts, or part and container. It is on the wrong side if the
-    nearest true surface of the patch is nearer than its own by more than 3 mm and belongs to another: the edge is the
-    nearer one's.
+    nearest true surface of the patch is nearer than its own by more than 3 mm and belongs to another body: an edge
+    belongs to the nearer body.
 
     Args:
-        capture: What the points were taken from.
-        boundary: Its boundary points.
+        capture: Capture with true depth and instance ids.
+        boundary: Boundary points of the capture.
 
     Returns:
-        (wrong, contour), whose quotient is the share on the wrong side.
+        Number of points on the wrong side, and number of points at contours.
     """
     height, width = capture.instance_ids.shape
     steps = np.arange(-RADIUS, RADIUS + 1)
@@ -30,7 +30,7 @@ def wrong_side(capture: Capture, boundary: BoundaryCloud) -> tuple[int, int]:
     ids = capture.instance_ids[v, u].reshape(-1, steps.size**2)
     depths = capture.depth_true[v, u].reshape(-1, steps.size**2)
     depths = np.where(depths > 0, depths, np.float32(np.inf))
-    middle = steps.size**2 // 2  # the point's own pixel, also where the image's border repeats the others
+    middle = steps.size**2 // 2  # index of the point's own pixel; at the image's border other pixels are repeated
     own_id, own_depth = ids[:, middle], depths[:, middle]
     at_contour = (ids != own_id[:, None]).any(axis=1)
     front = np.argmin(depths, axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""How hidden the parts of a bin are: visible fractions, and the three numbers that every evaluation prints."""
+"""Visible fractions of the parts in a bin, and the three statistics of them that every evaluation prints."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from perception.geometry import Floats, invert_transform, require_shape
 
 @dataclass(frozen=True, kw_only=True)
 class ClutterStats:
-    """Visible fractions of the parts of one bin or many, summed up.
+    """Statistics of the visible fractions of parts in one bin or several.
 
     Attributes:
         count: Number of parts.
-        median: Of the visible fraction; NaN without parts.
-        below_half: Share of parts under 0.5 visible; NaN without parts.
-        above_nine_tenths: Share of parts over 0.9 visible; NaN without parts.
+        median: Median visible fraction; NaN without parts.
+        below_half: Share of parts with a visible fraction under 0.5; NaN without parts.
+        above_nine_tenths: Share of parts with a visible fraction over 0.9; NaN without parts.
     """
 
     count: int
@@ -30,7 +30,7 @@ class ClutterStats:
 
     @classmethod
     def from_fractions(cls, fractions: Floats | Sequence[float]) -> "ClutterStats":
-        """Sum up (N,) visible fractions; those of several bins may be concatenated."""
+        """Compute the statistics of (N,) visible fractions, of one bin or of several bins together."""
         values = np.asarray(fractions, dtype=np.float64)
         require_shape("fractions", values, (None,))
         if len(values) == 0:
@@ -44,7 +44,7 @@ class ClutterStats:
 
 
 def pooled_clutter(stats: Sequence[ClutterStats]) -> dict[str, float | None]:
-    """Sum bins up: median (mean of the bins' medians), below_half and above_nine_tenths (of all parts), parts."""
+    """Combine bins into one dict: mean of their medians, and the two shares and the number of all parts."""
     filled = [s for s in stats if s.count]
     parts = [s.count for s in filled]
     if not filled:
@@ -58,18 +58,18 @@ def pooled_clutter(stats: Sequence[ClutterStats]) -> dict[str, float | None]:
 
 
 def visible_fractions(capture: Capture, mesh: trimesh.Trimesh, T_world_parts: Floats) -> Floats:
-    """Return the (N,) visible fraction of each part: its pixels / its pixels if it were rendered alone.
+    """Compute each part's visible fraction: visible pixels / pixels of the part rendered alone.
 
     Args:
-        capture: What the camera saw; part n carries instance id n.
-        mesh: The parts' one watertight mesh, part frame [m].
-        T_world_parts: (N, 4, 4) part poses.
+        capture: Capture in which part n has instance id n.
+        mesh: Watertight mesh that all parts share, in the part frame [m].
+        T_world_parts: (N, 4, 4) poses of the parts.
 
     Returns:
-        (N,) in [0, 1]; 0 for a part out of view.
+        (N,) visible fractions in [0, 1]; 0 for a part outside the image.
 
     Raises:
-        ValueError: If the capture shows an instance that has no pose.
+        ValueError: The capture shows an instance that has no pose.
     """
     require_shape("T_world_parts", T_world_parts, (None, 4, 4))
     count = len(T_world_parts)
@@ -79,7 +79,7 @@ def visible_fractions(capture: Capture, mesh: trimesh.Trimesh, T_world_parts: Fl
     visible = np.bincount(seen, minlength=count)[:count]
     T_cam_parts = invert_transform(capture.T_world_cam) @ T_world_parts
     alone = silhouette_pixels(mesh, T_cam_parts, capture.frame.K, capture.instance_ids.shape, capture.region)
-    # The simulation's meshes are single precision: a pixel on the outline may be seen and yet not be counted alone.
+    # The simulation's meshes are single precision: a pixel on the outline may be visible, yet not in the silhouette.
     return np.minimum(visible / np.maximum(alone, 1), 1.0) * (alone > 0)
 
 
@@ -90,17 +90,20 @@ def silhouette_pixels(
     size: tuple[int, ...],
     region: tuple[int, int, int, int] | None = None,
 ) -> NDArray[np.int64]:
-    """Count the (N,) pixels whose centre's ray meets the mesh at each of (N, 4, 4) poses, each rendered alone.
+    """Count the pixels of the mesh's silhouette at each pose, rendered alone.
 
     Args:
-        mesh: Watertight, part frame [m].
-        T_cam_parts: (N, 4, 4) poses in the camera frame.
-        K: (3, 3) pinhole matrix [px].
+        mesh: Watertight mesh in the part frame [m].
+        T_cam_parts: (N, 4, 4) poses of the part in the camera frame.
+        K: (3, 3) camera matrix [px].
         size: Height and width of the image [px].
         region: Half-open rectangle ``(u0, v0, u1, v1)`` of pixels to count; the whole image by default.
 
+    Returns:
+        (N,) number of pixels whose ray through the centre meets the mesh.
+
     Raises:
-        ValueError: If the mesh is not watertight or a pose is not finite.
+        ValueError: The mesh is not watertight, or a pose is not finite.
     """
     require_shape("T_cam_parts", T_cam_parts, (None, 4, 4))
     if not mesh.is_watertight:

@@ -1,4 +1,4 @@
-"""Labelled boundary scenes: a pile dropped, seen by a camera whose place, light and noise vary, and its truth kept."""
+"""Synthesis of labelled boundary scenes: parts settle in a bin; camera pose, light and sensor noise are random."""
 
 import hashlib
 import json
@@ -17,7 +17,7 @@ from binpick_env.camera.shading import Light
 from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
 from binpick_env.config import CameraConfig, CellConfig, SensorChoice, SensorPreset
-from binpick_env.jobs.folder_claim import claim
+from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.parts import CATALOGUE, Part, Unit, load_part
 from binpick_env.scenes.clutter import visible_fractions
@@ -28,21 +28,25 @@ from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
 
 _log = logging.getLogger(__name__)
-MIXTURE: dict[SensorPreset, float] = {"good": 0.7, "harsh": 0.2, "none": 0.1}  # shares under sensor "mixed"
+MIXTURE: dict[SensorPreset, float] = {
+    "good": 0.7,
+    "harsh": 0.2,
+    "none": 0.1,
+}  # for "mixed"
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneConfig:
-    """What a scene depends on besides its index.
+    """Configuration of synthetic scenes; a scene depends on it and on its index alone.
 
     Attributes:
         part: Catalogue name, or path of a mesh file.
-        unit: Of a file's coordinates; the plausible one unless given.
-        seed: Scene i's own chance follows from this and i alone.
-        num_parts: Smallest and largest fill of a bin.
-        sensor: A preset, or "mixed": drawn for each scene, mostly ``good``.
-        jitter: Vary the camera's place and the light; without, both are the cell's own.
-        camera: Image, optics, backend.
+        unit: Length unit of a mesh file; the most plausible one by default.
+        seed: Seed of all scenes; scene i is drawn from (seed, i).
+        num_parts: Smallest and largest number of parts in a bin.
+        sensor: Preset of the depth sensor's noise; "mixed" draws one for each scene, mostly ``good``.
+        jitter: Whether camera pose and light are random; otherwise they are the cell's nominal ones.
+        camera: Image size, focal length, distance and rendering backend of the camera.
     """
 
     part: str = "tee"
@@ -63,16 +67,16 @@ class SceneConfig:
             raise ValueError(f"sensor must be one of {', '.join(PRESETS)}, mixed, got {self.sensor!r}")
 
 
-class LabelledCapture(NamedTuple):
-    """A scene and the frame it was made of."""
+class CapturedScene(NamedTuple):
+    """A labelled scene and the capture that it was extracted from."""
 
     scene: BoundaryScene
     capture: Capture
 
 
 @dataclass(frozen=True, eq=False)
-class _Studio:
-    """Simulation and camera of a configuration, kept between scenes: a reset leaves no trace of the last."""
+class _SceneSetup:
+    """Part, simulation and camera of a configuration, reused from scene to scene; each scene resets them."""
 
     part: Part
     simulation: Simulation
@@ -80,19 +84,19 @@ class _Studio:
 
 
 @lru_cache(maxsize=1)
-def _studio(config: SceneConfig) -> _Studio:
+def _scene_setup(config: SceneConfig) -> _SceneSetup:
     part = load_part(config.part, unit=config.unit)
     simulation = Simulation(CellConfig(camera=config.camera), part, max(config.num_parts[1], 1))
     workspace = simulation.config.bin.workspace()
     camera = DepthCamera(simulation.model, config.camera, workspace, simulation.part_of_geom, threads=1)
-    return _Studio(part, simulation, camera)
+    return _SceneSetup(part, simulation, camera)
 
 
-def make_scene(config: SceneConfig, index: int) -> LabelledCapture:
-    """Drop, look, label: scene ``index``, the same bits whatever was made before and by how many workers."""
+def make_scene(config: SceneConfig, index: int) -> CapturedScene:
+    """Simulate, capture and label scene ``index``; the result does not depend on other scenes or on the process."""
     rng = np.random.default_rng(np.random.SeedSequence([config.seed, index]))
-    studio = _studio(config)
-    simulation, camera, model = studio.simulation, studio.camera, studio.part.model
+    setup = _scene_setup(config)
+    simulation, camera, model = setup.simulation, setup.camera, setup.part.model
     count = int(rng.integers(config.num_parts[0], config.num_parts[1] + 1))
     drop_and_settle(simulation, count, rng)
     sensor = _draw_sensor(rng) if config.sensor == "mixed" else config.sensor
@@ -112,11 +116,11 @@ def make_scene(config: SceneConfig, index: int) -> LabelledCapture:
         centres_cam=transform_point_each(T_cam_parts, model.centre),
         visible_fractions=visible_fractions(capture, model.mesh, T_world_parts),
     )
-    return LabelledCapture(scene, capture)
+    return CapturedScene(scene, capture)
 
 
 def draw_light(rng: np.random.Generator) -> Light:
-    """Draw a lamp within 45 degrees of the camera's axis, its strength, and how dark contacts and container are."""
+    """Draw a light direction within 45 degrees of the camera's axis, intensities, albedos and ambient occlusion."""
     tilt, turn = np.arccos(rng.uniform(np.cos(np.pi / 4), 1.0)), rng.uniform(0.0, 2 * np.pi)
     ambient = rng.uniform(0.15, 0.4)
     return Light(
@@ -137,34 +141,41 @@ def _draw_sensor(rng: np.random.Generator) -> SensorPreset:
 
 
 def _draw_pose(camera: DepthCamera, rng: np.random.Generator) -> Floats:
-    """Return ``T_world_cam`` up to 4 degrees off the vertical, 5 cm nearer or farther, and 1 cm aside."""
+    """Draw ``T_world_cam``: tilted by up to 4 deg, up to 5 cm nearer or farther, and shifted by up to 1 cm."""
     workspace = camera.workspace
     distance = camera.config.distance + rng.uniform(-0.05, 0.05)
     axis = np.append(rng.normal(size=2), 0.0)
     tilt = make_transform(rotation_about(axis, rng.uniform(0.0, np.deg2rad(4.0))))
     aside = make_transform(translation=np.append(rng.uniform(-0.01, 0.01, size=2), 0.0))
     nominal = default_pose(workspace, distance)
-    # Tilted about the bin's middle, so that all of it stays in the image.
+    # The camera is tilted about the bin's centre, so that the whole bin stays in the image.
     return workspace.T_world_bin @ aside @ tilt @ invert_transform(workspace.T_world_bin) @ nominal
 
 
 def scene_path(folder: Path, index: int) -> Path:
-    """Return where scene ``index`` is kept."""
+    """Return the path of the file of scene ``index``."""
     return folder / f"scene_{index:05d}.npz"
 
 
 def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int = 1) -> Iterator[int]:
-    """Write scenes 0 to ``count - 1`` and yield each index as it is there; whole ones are not made again.
+    """Write scenes 0 to ``count - 1`` and yield each index once its file exists; intact files are kept.
+
+    Args:
+        config: Configuration of the scenes.
+        count: Number of scenes.
+        folder: Folder of the scenes' files; it must not hold scenes of another configuration.
+        workers: Number of worker processes.
 
     Raises:
-        ValueError: The folder holds scenes of another configuration, there is no such part, or nothing is asked for.
+        ValueError: The folder holds scenes of another configuration, there is no such part, or ``count`` or
+            ``workers`` is not positive.
         FileNotFoundError: The part's file does not exist.
         WorkerError: A process was killed; every finished scene is kept.
     """
     if count < 1 or workers < 1:
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
-    load_part(config.part, unit=config.unit)  # a part that cannot be loaded must not claim the folder
-    claim_folder(config, folder)
+    load_part(config.part, unit=config.unit)  # before the folder gets a configuration
+    ensure_folder_config(config, folder)
     missing = []
     for index in range(count):
         if _is_whole(scene_path(folder, index)):
@@ -174,13 +185,13 @@ def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int 
     yield from map_indices(partial(_write_scene, config, folder), missing, workers)
 
 
-def claim_folder(config: SceneConfig, folder: Path) -> None:
-    """Note the configuration in the folder, or compare with the one that is noted there; see `claim`."""
-    claim(folder / SCENES_NOTE, scene_note(config), "scenes")
+def ensure_folder_config(config: SceneConfig, folder: Path) -> None:
+    """Write the configuration into the folder, or compare it with the one there; see `ensure_same_config`."""
+    ensure_same_config(folder / SCENES_NOTE, scene_settings(config), "scenes")
 
 
-def scene_note(config: SceneConfig) -> dict[str, Any]:
-    """Return what scenes depend on as plain values, a mesh file's content included."""
+def scene_settings(config: SceneConfig) -> dict[str, Any]:
+    """Return the configuration as JSON types, with the SHA-256 of a mesh file."""
     values: dict[str, Any] = json.loads(json_text(asdict(config)))
     if config.part not in CATALOGUE:
         values["file"] = hashlib.sha256(Path(config.part).read_bytes()).hexdigest()

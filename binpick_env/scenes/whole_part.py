@@ -1,4 +1,4 @@
-"""How many boundary points a part has that nothing hides: P of the paper, by rendering it alone from all round."""
+"""Number of boundary points of an unoccluded part (P of the paper), by rendering it alone from many directions."""
 
 from dataclasses import asdict
 from functools import lru_cache
@@ -15,17 +15,22 @@ from perception.pose.model._pair_kernels import tangent_frames
 from perception.pose.model.viewpoints import ViewCount, view_directions
 from perception.runtime.cache import cached_arrays, digest
 
-_VERSION = 1  # of what is stored: raise it when the same part and camera give other numbers
+_VERSION = 1  # version of the cached counts; raise it when the same part and camera give other numbers
 _VIEWS: ViewCount = 26
-_HEIGHT = 0.07  # of the part's centre over the bin's floor, if that is clear of it [m]
+_HEIGHT = 0.07  # height of the part's centre over the bin's floor, unless the part is larger [m]
 
 
 @lru_cache(maxsize=8)
 def whole_part_points(part: str, unit: Unit | None, camera: CameraConfig) -> float:
-    """Return P times the depth [m] it holds at: the boundary pixels of the part's largest view are this by the depth.
+    """Return P times the part's depth [m]; divided by another depth it is P at that depth.
 
-    Of 26 views, with the camera straight above, the sensor without noise and the light as it is by default. Kept in the
-    cache folder; the first call takes some seconds.
+    P is the largest number of boundary pixels over 26 views, by a camera straight above the bin, with default light and
+    a sensor without noise. The counts are cached on disk; the first call takes some seconds.
+
+    Args:
+        part: Catalogue name, or path of a mesh file.
+        unit: Length unit of a mesh file; the most plausible one by default.
+        camera: Image size, focal length and distance of the camera.
     """
     loaded = load_part(part, unit=unit)
     mesh = loaded.model.mesh
@@ -35,13 +40,13 @@ def whole_part_points(part: str, unit: Unit | None, camera: CameraConfig) -> flo
 
 
 def _count(part: Part, camera_config: CameraConfig) -> Floats:
-    """Return (V,) boundary pixels of the part, its centre `_HEIGHT` over the bin's floor, from each view."""
+    """Return the (V,) number of boundary pixels of the part from each of V directions."""
     simulation = Simulation(CellConfig(camera=camera_config), part, 1)
     workspace = simulation.config.bin.workspace()
     camera = DepthCamera(simulation.model, camera_config, workspace, simulation.part_of_geom, threads=1)
     counts = []
     for turn in tangent_frames(view_directions(_VIEWS)):
-        # The view's direction becomes the camera's -z: x of the frame turned there.
+        # The first row of the frame, the direction towards the viewer, becomes the camera's -z.
         R_cam_part = np.stack([turn[1], turn[2], turn[0]]) * np.array([[1.0], [-1.0], [-1.0]])
         shift = np.array([0.0, 0.0, camera_config.distance - _height(part)]) - R_cam_part @ part.model.centre
         simulation.reset()
@@ -54,6 +59,6 @@ def _count(part: Part, camera_config: CameraConfig) -> Floats:
 
 
 def _height(part: Part) -> float:
-    """Return how high over the floor the part's centre is held [m]."""
+    """Return the height of the part's centre over the bin's floor [m], such that the part is clear of it."""
     reach = np.linalg.norm(np.asarray(part.model.mesh.vertices) - part.model.centre, axis=1).max()
     return max(_HEIGHT, float(reach) + 0.005)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from binpick_env.config import CellConfig
-from binpick_env.scenes.synthesis import LabelledCapture, SceneConfig, make_scene
+from binpick_env.scenes.synthesis import CapturedScene, SceneConfig, make_scene
 from binpick_env.scenes.whole_part import whole_part_points
 from perception.boundary import BoundaryCloud, BoundarySettings
 from perception.frame import Frame
@@ -97,7 +97,7 @@ def pose_cases(part: str, seed: int, count: int, whole_scenes: int) -> tuple[lis
     return sights, segments + wholes
 
 
-def segment_cases(made: LabelledCapture, sight: int, expected: float) -> list[PoseCase]:
+def segment_cases(made: CapturedScene, sight: int, expected: float) -> list[PoseCase]:
     """Return a case for each of the three true segments nearest to P; ``expected`` is P times depth [m]."""
     scene, capture = made.scene, made.capture
     parts, sizes = np.unique(scene.instance_ids[scene.instance_ids >= 0], return_counts=True)
@@ -121,7 +121,7 @@ def segment_cases(made: LabelledCapture, sight: int, expected: float) -> list[Po
     ]
 
 
-def whole_case(made: LabelledCapture, sight: int) -> PoseCase:
+def whole_case(made: CapturedScene, sight: int) -> PoseCase:
     """Return the case of a whole bin, container removed; as many poses are asked for as parts lie in it."""
     scene, frame = made.scene, made.capture.frame
     points = deproject_depth(frame.K, frame.depth)[frame.valid]

@@ -16,9 +16,9 @@ from binpick_env.evaluation.pose.method import PoseMethod, PoseMethodConfig, pos
 from binpick_env.evaluation.pose.record import EVIDENCE, STAGES, TRIALS, VERDICT, PoseRecord
 from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, require_unseen
 from binpick_env.evaluation.segmentation.record import RecordError, record_path
-from binpick_env.jobs.folder_claim import claim
+from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
-from binpick_env.scenes.synthesis import LabelledCapture, SceneConfig, make_scene, scene_note
+from binpick_env.scenes.synthesis import CapturedScene, SceneConfig, make_scene, scene_settings
 from binpick_env.scenes.whole_part import whole_part_points
 from perception.boundary import BoundaryCloud, extract_boundary
 from perception.frame import Frame
@@ -49,7 +49,7 @@ class PoseEvaluationConfig:
 
     def note(self) -> dict[str, Any]:
         """Return all settings as plain values, the contents of files by their hash."""
-        return {**scene_note(self.scenes), "method": self.method.note()}
+        return {**scene_settings(self.scenes), "method": self.method.note()}
 
     def load(self) -> PoseMethod:
         """Return the method, ready to look at the part that lies in the bins."""
@@ -111,7 +111,7 @@ def evaluate_poses(
     config.load()  # what cannot be loaded must not claim the folder
     if config.method.network is not None:
         require_unseen(EvaluationConfig(scenes=config.scenes, method=config.method.network))
-    claim(folder / CONFIG_FILE, _flat(config.note()), "an evaluation of poses")
+    ensure_same_config(folder / CONFIG_FILE, _flat(config.note()), "an evaluation of poses")
     missing = []
     for index in range(count):
         if not fresh and _is_whole(record_path(folder, index)):
@@ -169,7 +169,7 @@ def evaluate_pose_scene(config: PoseEvaluationConfig, index: int, threads: int =
     )
 
 
-def _look(config: PoseEvaluationConfig, method: PoseMethod, made: LabelledCapture) -> _Sight:
+def _look(config: PoseEvaluationConfig, method: PoseMethod, made: CapturedScene) -> _Sight:
     """Segment a frame and estimate its poses, keeping time."""
     frame, workspace = made.capture.frame, CellConfig().bin.workspace()
     clock = [time.perf_counter()]

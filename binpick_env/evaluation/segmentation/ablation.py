@@ -15,10 +15,10 @@ from binpick_env.evaluation.segmentation.ablation_summary import AblationTable, 
 from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, evaluate_scenes
 from binpick_env.evaluation.segmentation.method import Grouping, MethodConfig, segmenter
 from binpick_env.evaluation.segmentation.summary import load_scores
-from binpick_env.jobs.folder_claim import claim
+from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.parts import load_part
-from binpick_env.scenes.synthesis import SceneConfig, generate_scenes, scene_note
+from binpick_env.scenes.synthesis import SceneConfig, generate_scenes, scene_settings
 from perception.metrics.average_precision import ap_summary
 from perception.metrics.matching import SceneMatches
 from perception.runtime.files import json_text, write_atomically
@@ -143,7 +143,7 @@ class AblationConfig:
         folders = {"training": self.training, "validation": self.validation}
         given = {name: None if path is None else str(path) for name, path in folders.items()}
         sizes = {name: getattr(self, name) for name in ("steps", "training_scenes", "validation_scenes")}
-        return {**scene_note(self.scenes), **given, **sizes, **{k: asdict(v) for k, v in self.trainings.items()}}
+        return {**scene_settings(self.scenes), **given, **sizes, **{k: asdict(v) for k, v in self.trainings.items()}}
 
 
 def _seed_of(folder: Path, part: str) -> int | None:
@@ -174,7 +174,7 @@ def run_ablation(config: AblationConfig, out: Path, workers: int = 1, report: Re
     load_part(config.scenes.part, unit=config.scenes.unit)  # what is not there must not claim the folder
     for given in filter(None, (config.training, config.validation)):
         find_scenes([given])
-    claim(out / "ablation.json", config.note(), "an ablation")
+    ensure_same_config(out / "ablation.json", config.note(), "an ablation")
     work = _Work(
         config=config,
         out=out,

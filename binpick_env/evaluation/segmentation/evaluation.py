@@ -14,11 +14,11 @@ import numpy as np
 from binpick_env.config import CellConfig
 from binpick_env.evaluation.segmentation.method import MethodConfig, Segmenter, segmenter
 from binpick_env.evaluation.segmentation.record import STAGES, RecordError, SceneRecord, record_path
-from binpick_env.jobs.folder_claim import claim
+from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.parts import load_part
 from binpick_env.scenes.boundary_quality import wrong_side
-from binpick_env.scenes.synthesis import SceneConfig, make_scene, scene_note
+from binpick_env.scenes.synthesis import SceneConfig, make_scene, scene_settings
 from perception.boundary import extract_boundary
 from perception.frame import Frame
 from perception.instance import Instance, labels_of
@@ -45,7 +45,7 @@ class EvaluationConfig:
 
     def note(self) -> dict[str, Any]:
         """Return all settings as plain values, the contents of files by their hash."""
-        return {**scene_note(self.scenes), "method": self.method.note()}
+        return {**scene_settings(self.scenes), "method": self.method.note()}
 
 
 def evaluate_scenes(
@@ -78,7 +78,7 @@ def evaluate_scenes(
     load_part(config.scenes.part, unit=config.scenes.unit)
     segmenter(config.method)  # what cannot be loaded must not claim the folder
     require_unseen(config)
-    claim(folder / CONFIG_FILE, config.note(), "an evaluation")
+    ensure_same_config(folder / CONFIG_FILE, config.note(), "an evaluation")
     missing = []
     for index in range(count):
         if not fresh and _is_whole(record_path(folder, index)):

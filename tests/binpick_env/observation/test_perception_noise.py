@@ -10,7 +10,13 @@ import pytest
 import trimesh
 
 from binpick_env.env import BinPickEnv
-from binpick_env.evaluation.noise_fit import FrameObservation, PartObservation, fit_noise, save_noise, sight
+from binpick_env.evaluation.noise_fit import (
+    FrameObservation,
+    PartObservation,
+    compare_with_truth,
+    fit_noise,
+    save_noise,
+)
 from binpick_env.observation.noisy_oracle import NoisyOraclePerceiver, displaced
 from binpick_env.observation.perceiver import OraclePerceiver, make_perceiver
 from binpick_env.observation.perception_noise import NoiseBin, NoiseError, PerceptionNoise, Spread
@@ -38,12 +44,12 @@ def many_frames(noise: PerceptionNoise, count: int, seed: int = 0) -> list[Frame
     perceiver, frames = NoisyOraclePerceiver(noise), []
     for k in range(count):
         seen = view(list(rng.uniform(0.02, 1.0, 20)), seed=k)
-        frames.append(sight(seen, perceiver.perceive(seen, rng)))
+        frames.append(compare_with_truth(seen, perceiver.perceive(seen, rng)))
     return frames
 
 
 def rows_of(frames: list[FrameObservation], low: float, high: float) -> list[PartObservation]:
-    return [row for frame in frames for row in frame.parts if low < row.visible <= high]
+    return [row for frame in frames for row in frame.parts if low < row.visible_fraction <= high]
 
 
 def near(share: float, expected: float, n: int) -> bool:
@@ -55,17 +61,17 @@ def test_rates_and_errors_are_the_models() -> None:
     frames = many_frames(model(), 100)
     for each, low in zip(model().bins, (0.0, 0.5), strict=True):
         rows = rows_of(frames, low, each.high)
-        offered = [row for row in rows if row.offered]
+        offered = [row for row in rows if row.detected]
         assert near(len(offered) / len(rows), each.offered, len(rows))
-        assert near(np.mean([not row.right for row in offered]).item(), each.wrong, len(offered))
-        right = [row for row in offered if row.right]
-        assert np.mean([row.translation for row in right]) == pytest.approx(0.001, rel=0.1)
-        assert np.mean([row.rotation for row in right]) == pytest.approx(0.025, rel=0.1)
+        assert near(np.mean([not row.correct for row in offered]).item(), each.wrong, len(offered))
+        right = [row for row in offered if row.correct]
+        assert np.mean([row.translation_error for row in right]) == pytest.approx(0.001, rel=0.1)
+        assert np.mean([row.rotation_error for row in right]) == pytest.approx(0.025, rel=0.1)
         assert np.mean([row.score for row in right]) == pytest.approx(0.85, rel=0.02)
-        gaps = np.array([row.seen - row.visible for row in offered])
+        gaps = np.array([row.estimated_fraction - row.visible_fraction for row in offered])
         # At the ends the estimates are clipped.
         assert np.median(gaps) == pytest.approx(each.visible_bias, abs=0.01)
-        assert np.mean([row.fill / row.visible for row in offered]) == pytest.approx(each.fill_ratio)
+        assert np.mean([row.fill / row.visible_fraction for row in offered]) == pytest.approx(each.fill_ratio)
     false = [len(frame.false_scores) for frame in frames]
     assert np.mean(false) == pytest.approx(0.7, abs=4 * np.sqrt(0.7 / 100))
     scores = [score for frame in frames for score in frame.false_scores]
@@ -79,15 +85,15 @@ def test_a_fitted_model_gives_back_the_rates_of_its_sample() -> None:
     again = many_frames(fitted, 60, seed=1)
     for low, high in ((0.0, 0.3), (0.3, 0.5), (0.5, 0.8), (0.8, 1.0)):
         one, other = rows_of(sample, low, high), rows_of(again, low, high)
-        shares = [np.mean([row.offered for row in rows]).item() for rows in (one, other)]
+        shares = [np.mean([row.detected for row in rows]).item() for rows in (one, other)]
         assert near(shares[1], shares[0], min(len(one), len(other)) // 2)
-        one, other = ([row for row in rows if row.offered] for rows in (one, other))
-        shares = [np.mean([row.right for row in rows]).item() for rows in (one, other)]
+        one, other = ([row for row in rows if row.detected] for rows in (one, other))
+        shares = [np.mean([row.correct for row in rows]).item() for rows in (one, other)]
         assert near(shares[1], shares[0], min(len(one), len(other)) // 2)
-    for name in ("translation", "rotation", "score"):
+    for name in ("translation_error", "rotation_error", "score"):
         for right in (True, False):
             one, other = (
-                [getattr(row, name) for row in rows_of(frames, 0.0, 1.0) if row.offered and row.right is right]
+                [getattr(row, name) for row in rows_of(frames, 0.0, 1.0) if row.detected and row.correct is right]
                 for frames in (sample, again)
             )
             assert np.median(other) == pytest.approx(np.median(one), rel=0.25), (name, right)
@@ -96,12 +102,26 @@ def test_a_fitted_model_gives_back_the_rates_of_its_sample() -> None:
 
 def test_the_fit_counts_by_hand() -> None:
     right = PartObservation(
-        visible=0.95, offered=True, right=True, translation=0.001, rotation=0.01, score=0.9, seen=0.85
+        visible_fraction=0.95,
+        detected=True,
+        correct=True,
+        translation_error=0.001,
+        rotation_error=0.01,
+        score=0.9,
+        estimated_fraction=0.85,
     )
-    wrong = PartObservation(visible=0.95, offered=True, translation=0.03, rotation=3.0, score=0.4, seen=0.95, fill=1.9)
+    wrong = PartObservation(
+        visible_fraction=0.95,
+        detected=True,
+        translation_error=0.03,
+        rotation_error=3.0,
+        score=0.4,
+        estimated_fraction=0.95,
+        fill=1.9,
+    )
     frames = [
-        FrameObservation(parts=(right, wrong, PartObservation(visible=0.95)), false_scores=(0.2,)),
-        FrameObservation(parts=(PartObservation(visible=0.05),), false_scores=()),
+        FrameObservation(parts=(right, wrong, PartObservation(visible_fraction=0.95)), false_scores=(0.2,)),
+        FrameObservation(parts=(PartObservation(visible_fraction=0.05),), false_scores=()),
     ]
     noise = fit_noise(frames, {"seed": 3})
     top, bottom = noise.bin_of(0.95), noise.bin_of(0.05)
@@ -114,8 +134,8 @@ def test_the_fit_counts_by_hand() -> None:
 
 
 def test_nothing_right_cannot_be_fitted() -> None:
-    with pytest.raises(ValueError, match="1 frames hold no right pose"):
-        fit_noise([FrameObservation(parts=(PartObservation(visible=0.5),), false_scores=())])
+    with pytest.raises(ValueError, match="1 frames hold no correct pose"):
+        fit_noise([FrameObservation(parts=(PartObservation(visible_fraction=0.5),), false_scores=())])
 
 
 def test_it_sees_by_the_cameras_reported_place() -> None:
@@ -131,9 +151,13 @@ def test_it_sees_by_the_cameras_reported_place() -> None:
 
 def test_a_perfect_oracle_is_all_right() -> None:
     seen = view([0.9, 0.2, 0.7])
-    judged = sight(seen, OraclePerceiver().perceive(seen, np.random.default_rng(0)))
-    assert [row.offered for row in judged.parts] == [True, False, True]
-    assert all(row.right and row.translation == 0.0 and row.seen == row.visible for row in judged.parts if row.offered)
+    judged = compare_with_truth(seen, OraclePerceiver().perceive(seen, np.random.default_rng(0)))
+    assert [row.detected for row in judged.parts] == [True, False, True]
+    assert all(
+        row.correct and row.translation_error == 0.0 and row.estimated_fraction == row.visible_fraction
+        for row in judged.parts
+        if row.detected
+    )
     assert judged.false_scores == ()
 
 

@@ -17,8 +17,8 @@ from binpick_env.scenes import synthesis
 from binpick_env.scenes.synthesis import (
     MIXTURE,
     SceneConfig,
-    claim_folder,
     draw_light,
+    ensure_folder_config,
     generate_scenes,
     make_scene,
     scene_path,
@@ -33,7 +33,7 @@ WORKSPACE = BinConfig().workspace()
 
 
 @pytest.fixture(scope="module")
-def captured() -> list[synthesis.LabelledCapture]:
+def captured() -> list[synthesis.CapturedScene]:
     return [make_scene(TINY, index) for index in range(4)]
 
 
@@ -53,7 +53,7 @@ def same(one: BoundaryScene, other: BoundaryScene) -> bool:
 # --- truth -----------------------------------------------------------------------------------------------------------
 
 
-def test_labelled_points_lie_on_their_parts(captured: list[synthesis.LabelledCapture]) -> None:
+def test_labelled_points_lie_on_their_parts(captured: list[synthesis.CapturedScene]) -> None:
     mesh = load_part("part_c").model.mesh
     rng = np.random.default_rng(0)
     for scene, _ in captured[:3]:
@@ -66,7 +66,7 @@ def test_labelled_points_lie_on_their_parts(captured: list[synthesis.LabelledCap
             assert distance.max() < 1e-5
 
 
-def test_centres_are_the_parts_own(captured: list[synthesis.LabelledCapture]) -> None:
+def test_centres_are_the_parts_own(captured: list[synthesis.CapturedScene]) -> None:
     model = load_part("part_c").model
     for scene, _ in captured:
         assert scene.part == "part_c"
@@ -77,7 +77,7 @@ def test_centres_are_the_parts_own(captured: list[synthesis.LabelledCapture]) ->
         assert reach[scene.instance_ids >= 0].max() < 0.75 * model.d_max
 
 
-def test_a_scene_is_what_its_frame_shows(captured: list[synthesis.LabelledCapture]) -> None:
+def test_a_scene_is_what_its_frame_shows(captured: list[synthesis.CapturedScene]) -> None:
     for scene, capture in captured:
         u, v = scene.boundary.pixels.T
         np.testing.assert_array_equal(scene.instance_ids, capture.instance_ids[v, u])
@@ -91,7 +91,7 @@ def test_a_scene_is_what_its_frame_shows(captured: list[synthesis.LabelledCaptur
         assert (scene.instance_ids >= 0).mean() > 0.95  # container and table are taken out
 
 
-def test_the_focal_length_goes_with_the_image(captured: list[synthesis.LabelledCapture]) -> None:
+def test_the_focal_length_goes_with_the_image(captured: list[synthesis.CapturedScene]) -> None:
     (small, _), *_ = captured
     np.testing.assert_allclose(small.K[[0, 1], [0, 1]], 600.0)
     large, _ = make_scene(replace(TINY, camera=CameraConfig(width=640, height=480)), 0)
@@ -105,8 +105,8 @@ def test_the_focal_length_goes_with_the_image(captured: list[synthesis.LabelledC
 # --- chance ----------------------------------------------------------------------------------------------------------
 
 
-def test_an_index_has_its_own_scene_whatever_was_made_before(captured: list[synthesis.LabelledCapture]) -> None:
-    make_scene(replace(TINY, part="part_a"), 0)  # another studio
+def test_an_index_has_its_own_scene_whatever_was_made_before(captured: list[synthesis.CapturedScene]) -> None:
+    make_scene(replace(TINY, part="part_a"), 0)  # another setup
     for index in (2, 0):
         assert same(make_scene(TINY, index).scene, captured[index].scene)
     poses = [scene.T_cam_parts for scene, _ in captured]
@@ -115,7 +115,7 @@ def test_an_index_has_its_own_scene_whatever_was_made_before(captured: list[synt
     assert len({len(pose) for pose in poses}) > 1
 
 
-def test_the_files_do_not_depend_on_the_workers(tmp_path: Path, captured: list[synthesis.LabelledCapture]) -> None:
+def test_the_files_do_not_depend_on_the_workers(tmp_path: Path, captured: list[synthesis.CapturedScene]) -> None:
     alone, many = tmp_path / "1", tmp_path / "2"
     assert list(generate_scenes(TINY, 3, alone, 1)) == [0, 1, 2]
     assert sorted(generate_scenes(TINY, 3, many, 2)) == [0, 1, 2]
@@ -125,12 +125,12 @@ def test_the_files_do_not_depend_on_the_workers(tmp_path: Path, captured: list[s
         np.testing.assert_array_equal(points_cam, captured[index].scene.boundary.points_cam)
 
 
-def test_jitter_moves_the_camera_within_bounds(captured: list[synthesis.LabelledCapture]) -> None:
+def test_jitter_moves_the_camera_within_bounds(captured: list[synthesis.CapturedScene]) -> None:
     poses = [capture.frame.T_world_cam for _, capture in captured]
     assert len({pose.tobytes() for pose in poses}) == len(poses)
     T_nominal = default_pose(WORKSPACE, CAMERA.distance)
-    studio = synthesis._studio(TINY)
-    poses += [synthesis._draw_pose(studio.camera, np.random.default_rng(seed)) for seed in range(200)]
+    setup = synthesis._scene_setup(TINY)
+    poses += [synthesis._draw_pose(setup.camera, np.random.default_rng(seed)) for seed in range(200)]
     corners_bin = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (0, 2)]) * WORKSPACE.inner_size / 2
     corners_world = transform_points(WORKSPACE.T_world_bin, corners_bin)
     tilts, distances = [], []
@@ -138,7 +138,7 @@ def test_jitter_moves_the_camera_within_bounds(captured: list[synthesis.Labelled
         np.testing.assert_allclose(np.linalg.det(pose[:3, :3]), 1.0)
         tilts.append(np.arccos(np.clip(pose[:3, 2] @ T_nominal[:3, 2], -1, 1)))
         distances.append(np.linalg.norm(pose[:3, 3] - WORKSPACE.T_world_bin[:3, 3]))
-        pixels = project_points(studio.camera.K, transform_points(invert_transform(pose), corners_world))
+        pixels = project_points(setup.camera.K, transform_points(invert_transform(pose), corners_world))
         assert pixels.min() >= 0.0
         assert (pixels < (CAMERA.width, CAMERA.height)).all()
     assert max(tilts) <= np.deg2rad(4.0) + 1e-6
@@ -224,8 +224,8 @@ def test_a_stop_keeps_what_is_finished(tmp_path: Path) -> None:
 
 
 def test_another_configuration_in_the_folder_is_refused(tmp_path: Path) -> None:
-    claim_folder(TINY, tmp_path)
-    claim_folder(TINY, tmp_path)
+    ensure_folder_config(TINY, tmp_path)
+    ensure_folder_config(TINY, tmp_path)
     other = replace(TINY, seed=3, sensor="good", num_parts=(2, 5))
     text = (
         r"holds scenes of another configuration \(num_parts: \[2, 4\] there, \[2, 5\] here, seed: 0 there, 3 here, "
@@ -239,18 +239,18 @@ def test_another_configuration_in_the_folder_is_refused(tmp_path: Path) -> None:
 def test_a_damaged_note_is_refused(tmp_path: Path, damage: str) -> None:
     (tmp_path / "scenes.json").write_text(damage)
     with pytest.raises(ValueError, match=r"scenes\.json is damaged; choose another folder with --out, or delete this"):
-        claim_folder(TINY, tmp_path)
+        ensure_folder_config(TINY, tmp_path)
 
 
 def test_a_changed_part_file_is_another_configuration(tmp_path: Path) -> None:
     path = tmp_path / "block.stl"
     config = replace(TINY, part=str(path))
     trimesh.creation.box((0.06, 0.04, 0.03)).export(path)
-    claim_folder(config, tmp_path / "scenes")
-    claim_folder(config, tmp_path / "scenes")
+    ensure_folder_config(config, tmp_path / "scenes")
+    ensure_folder_config(config, tmp_path / "scenes")
     trimesh.creation.box((0.05, 0.04, 0.03)).export(path)
     with pytest.raises(ValueError, match=r"another configuration .file: [0-9a-f]{64} there, [0-9a-f]{64} here.;"):
-        claim_folder(config, tmp_path / "scenes")
+        ensure_folder_config(config, tmp_path / "scenes")
 
 
 def test_a_part_that_does_not_exist_claims_no_folder(tmp_path: Path) -> None:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from binpick_env.config import CameraConfig, CellConfig
-from binpick_env.scenes.synthesis import LabelledCapture, SceneConfig, make_scene
+from binpick_env.scenes.synthesis import CapturedScene, SceneConfig, make_scene
 from perception.geometry import invert_transform, transform_points
 from policies.benchmarks.pose_peer_inputs import model_points, pose_cases, segment_cases, whole_case, with_normals
 from tests.policies.benchmarks.pose_peer_cases import TEE, case
 
 
 @pytest.fixture(scope="module")
-def made() -> LabelledCapture:
+def made() -> CapturedScene:
     config = SceneConfig(part="tee", seed=31, num_parts=(4, 4), camera=CameraConfig(width=640, height=480))
     return make_scene(config, 0)
 
@@ -28,7 +28,7 @@ def test_normals_are_those_of_the_surface_towards_the_camera() -> None:
     np.testing.assert_allclose(points[:, 3:], np.tile(expected, (500, 1)), atol=1e-9)
 
 
-def test_segments_are_the_true_parts_measured_surface(made: LabelledCapture) -> None:
+def test_segments_are_the_true_parts_measured_surface(made: CapturedScene) -> None:
     cases = segment_cases(made, 5, expected=500.0)
     assert len(cases) == 3
     for found in cases:
@@ -44,7 +44,7 @@ def test_segments_are_the_true_parts_measured_surface(made: LabelledCapture) -> 
         assert (np.einsum("ni,ni->n", found.points[:, :3], found.points[:, 3:]) <= 0).all()
 
 
-def test_segments_are_those_nearest_to_a_whole_parts_size(made: LabelledCapture) -> None:
+def test_segments_are_those_nearest_to_a_whole_parts_size(made: CapturedScene) -> None:
     sizes = np.bincount(made.scene.instance_ids[made.scene.instance_ids >= 0])
     depth = float(np.median(made.scene.boundary.points_cam[:, 2]))
     first = segment_cases(made, 0, expected=depth * int(sizes.max()))[0]
@@ -54,7 +54,7 @@ def test_segments_are_those_nearest_to_a_whole_parts_size(made: LabelledCapture)
     assert segment_cases(bare, 0, expected=500.0) == []
 
 
-def test_a_whole_bin_is_everything_in_it_but_the_container(made: LabelledCapture) -> None:
+def test_a_whole_bin_is_everything_in_it_but_the_container(made: CapturedScene) -> None:
     whole = whole_case(made, 2)
     assert (whole.sight, whole.instance, whole.top) == (2, None, 4)
     np.testing.assert_array_equal(whole.T_cam_parts, made.scene.T_cam_parts)

@@ -15,7 +15,7 @@ import trimesh
 from binpick_env.cell.settle import SettleError
 from binpick_env.config import CameraConfig
 from binpick_env.jobs.process_map import WorkerError
-from binpick_env.scenes.synthesis import SceneConfig, claim_folder
+from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.weights import save_network
@@ -311,7 +311,7 @@ def test_generate_scenes_without_a_folder_names_one_after_part_and_seed(
 def test_generate_scenes_says_a_users_mistake_in_one_line(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    claim_folder(SceneConfig(), tmp_path)
+    ensure_folder_config(SceneConfig(), tmp_path)
     generate = load("generate_scenes.py")
     arguments = [argument.format(claimed=tmp_path) for argument in arguments]
     out = [] if "--out" in arguments else ["--out", str(tmp_path / "out")]

@@ -25,13 +25,21 @@ def test_a_noise_model_is_fitted_and_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     script, asked = load("fit_noise.py"), {}
-    row = PartObservation(visible=0.95, offered=True, right=True, translation=0.001, rotation=0.02, score=0.9, seen=0.9)
+    row = PartObservation(
+        visible_fraction=0.95,
+        detected=True,
+        correct=True,
+        translation_error=0.001,
+        rotation_error=0.02,
+        score=0.9,
+        estimated_fraction=0.9,
+    )
 
     def looked(part: str, bins: int, seed: int, **settings: Any) -> list[FrameObservation]:
         asked.update(part=part, bins=bins, seed=seed, **settings)
-        return [FrameObservation(parts=(row, PartObservation(visible=0.95)), false_scores=())] * bins
+        return [FrameObservation(parts=(row, PartObservation(visible_fraction=0.95)), false_scores=())] * bins
 
-    monkeypatch.setattr(script, "look_at_bins", looked)
+    monkeypatch.setattr(script, "observe_bins", looked)
     out = tmp_path / "tee_harsh.json"
     assert call(script, "--part", "tee", "--bins", 5, "--seed", 31, "--sensor", "harsh", "--json", out) == 0
     assert asked == {"part": "tee", "bins": 5, "seed": 31, "sensor": "harsh", "num_parts": (2, 30), "workers": 1}
@@ -39,9 +47,9 @@ def test_a_noise_model_is_fitted_and_kept(
     assert (noise.bins[-1].offered, noise.bins[-1].count) == (0.5, 10)
     assert {"command", "commit", "seed", "bins"} <= noise.provenance.keys()
     assert "50.0 %" in capsys.readouterr().out
-    monkeypatch.setattr(script, "look_at_bins", lambda *_, **__: [FrameObservation(parts=(), false_scores=())])
+    monkeypatch.setattr(script, "observe_bins", lambda *_, **__: [FrameObservation(parts=(), false_scores=())])
     assert call(script, "--json", out) == 2
-    assert "hold no right pose" in capsys.readouterr().err
+    assert "hold no correct pose" in capsys.readouterr().err
 
 
 def test_fast_and_full_are_compared(
