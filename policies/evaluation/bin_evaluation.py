@@ -20,7 +20,8 @@ from policies.evaluation.frame_record import FrameRecord, judge_frame
 from policies.evaluation.records import BinRecord
 from policies.grasping.outcomes import PickResult
 from policies.picking.episode import Picker, run_bin
-from policies.picking.scripted import PickerSettings, ScriptedPicker
+from policies.picking.scripted import ScriptedPicker
+from policies.picking.settings import PickerSettings
 from policies.report.pictures import Album
 from policies.report.recording import Recording
 from policies.report.video import Film, WatchedEnv

@@ -1,4 +1,4 @@
-"""One bin from the drop to its end: whom to ask next, when to look again, when to stop."""
+"""One bin from the drop to its end: when to take another frame, and when to stop."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ class Termination(StrEnum):
 
     EMPTY = "empty"  # no part is left in play
     TWO_FAILURES = "2F"  # two consecutive failed attempts (VGN's rule), or as many as the bin was allowed
-    ABSTAINED = "abstained"  # nothing to try, twice in a row, the second time on a fresh look
+    ABSTAINED = "abstained"  # no attempt was made, twice in a row, the second time on a new frame
     TIME = "time"  # the environment truncated the episode
 
 
@@ -34,16 +34,17 @@ class Picker(Protocol):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BinResult:
-    """What came of one bin.
+    """The picks of one bin.
 
     Attributes:
-        seed: Of the environment's reset.
-        parts_total: Parts after settling.
-        delivered: Parts delivered.
+        seed: Seed of the environment's reset.
+        parts_total: Number of parts after settling.
+        delivered: Number of parts delivered.
         picks: Every decision in order, attempts and abstentions.
-        termination: Why it ended.
-        clutter: Of the settled bin.
-        lost: Parts that left play without being delivered: doubles, fallen out of the bin or into the tray unreleased.
+        termination: Why the bin ended.
+        clutter: Visible fractions of the settled parts.
+        lost: Number of parts that left play without being delivered: doubles, and parts that fell out of the bin or,
+            before the release, into the tray.
     """
 
     seed: int
@@ -71,11 +72,11 @@ def run_bin(
     """Pick one bin: two consecutive failures end it, and so does a second consecutive abstention.
 
     Args:
-        env: The unwrapped environment; it is reset with ``seed``.
-        picker: Acts on the same environment.
-        seed: Of the pile, the sensor noise and everything else that is random.
-        on_pick: Called after each decision, for progress and pictures.
-        max_failures: Consecutive failures that end the bin; None for never.
+        env: The unwrapped environment, which is reset.
+        picker: Picker that acts on the same environment.
+        seed: Seed of the pile, the sensor noise and everything else that is random.
+        on_pick: Callback after each decision, for progress and pictures.
+        max_failures: Number of consecutive failures that ends the bin; None for no limit.
     """
     env.reset(seed=seed)
     picker.reset()

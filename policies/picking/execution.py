@@ -1,4 +1,4 @@
-"""One attempt, step by step: trajectories, jaw, guard, and what the outcome depends on."""
+"""One attempt, step by step: trajectories, jaw, force limit, and what the outcome depends on."""
 
 from dataclasses import dataclass
 
@@ -17,40 +17,43 @@ from policies.motion.trajectory import Trajectory
 class ExecutionSettings:
     """Times [s] and forces [N] of an attempt."""
 
-    stop_force: float = 60.0  # of contact on the way down, at which the descent is broken off
-    close_time: float = 0.6  # at most, for the jaw to come to rest
-    release_time: float = 0.24  # for the jaw to open before the arm leaves
-    settle_time: float = 1.5  # at most, for the released part to be judged
+    stop_force: float = 60.0  # largest contact force on the approach; beyond it, the approach is broken off
+    close_time: float = 0.6  # longest wait for the closing jaw to come to rest
+    release_time: float = 0.24  # time in which the jaw opens before the arm leaves
+    settle_time: float = 1.5  # longest wait for the released part to be judged
 
 
 class Execution:
-    """Steps the environment through one attempt and remembers what its outcome depends on."""
+    """Steps the environment through one attempt and remembers what its outcome depends on.
+
+    Two methods let a subclass leave out physics: :meth:`place_home` and ``_carry_kinematically``. Here they do nothing.
+    """
 
     def __init__(self, env: BinPickEnv, settings: ExecutionSettings) -> None:
         self._env = env
         self._settings = settings
-        self._way: list[Floats] = []
+        self._commanded: list[Floats] = []  # (6,) joint targets so far, for the way back [rad]
         self._collided = False
-        self._held: dict[str, bool] = {}
+        self._held: dict[str, bool] = {}  # whether both pads touched a part when closed, lifted and carried
 
     def follow(self, trajectory: Trajectory, gripper: float, *, guard: bool = False) -> bool:
-        """Run a trajectory; with ``guard``, stop and return False when the robot pushes harder than it may."""
+        """Run a trajectory; with ``guard``, stop and return False when the contact force exceeds its limit."""
         for q in trajectory.q[1:]:
             self._step(q, gripper)
-            if guard and self._pushes():
+            if guard and self._exceeds_force():
                 return False
         return True
 
-    def leap_home(self) -> bool:
-        """Be at home without a way there, if that can be; it cannot."""
+    def place_home(self) -> bool:
+        """Put the arm at home without a motion, where possible; return whether it is there. Here it never is."""
         return False
 
     def carry(self, trajectory: Trajectory, empty: float) -> bool:
-        """Lift and carry with the jaw closing; False as soon as the jaw is found empty after the lift.
+        """Lift and carry with the jaw closing; stop and return False if the jaw is empty after the lift.
 
         Args:
-            trajectory: Its first mark is the lift's end.
-            empty: Gripper position from which the jaw holds nothing.
+            trajectory: Motion whose first mark is the end of the lift.
+            empty: Gripper position from which the jaw holds nothing, in [0, 1].
         """
         lifted = trajectory.marks[0]
         for k, q in enumerate(trajectory.q[1:], start=1):
@@ -59,13 +62,13 @@ class Execution:
                 self._held["lifted"] = bool(self._env.simulation.gripped())
                 if self._env.simulation.gripper_position >= empty:
                     return False
-            if k >= lifted and self._carry_across(trajectory, k):
+            if k >= lifted and self._carry_kinematically(trajectory, k):
                 break
         self._held["carried"] = bool(self._env.simulation.gripped())
         return True
 
     def close(self) -> None:
-        """Close the jaw and wait until it rests."""
+        """Close the jaw and wait until it is at rest."""
         simulation = self._env.simulation
         last = -1.0
         for k in range(round(self._settings.close_time / CONTROL_PERIOD)):
@@ -81,19 +84,19 @@ class Execution:
             self._step(self._env.simulation.target, 0.0)
 
     def retrace(self) -> None:
-        """Go back the way that was come, with the jaw open."""
-        for q in reversed(self._way.copy()):
+        """Go back through all commanded targets with the jaw open."""
+        for q in reversed(self._commanded.copy()):
             self._step(q, 0.0)
 
     def await_judgement(self) -> None:
-        """Wait at rest until no part is left to be judged, so that each is the attempt's that moved it."""
+        """Wait at rest until no part is left to be judged, so that each counts for the attempt that moved it."""
         for _ in range(round(self._settings.settle_time / CONTROL_PERIOD)):
             if not self._env.unjudged():
                 return
             self._step(self._env.simulation.target, 0.0)
 
     def outcome(self, kinds: list[Delivery]) -> GraspOutcome:
-        """Name the outcome from what left play during the attempt and from what was held when."""
+        """Name the outcome from how parts left play during the attempt, and from when a part was held."""
         if Delivery.DELIVERED in kinds:
             return GraspOutcome.DELIVERED
         if Delivery.DOUBLE in kinds:
@@ -110,21 +113,21 @@ class Execution:
             return GraspOutcome.DROPPED
         return GraspOutcome.NOT_SETTLED
 
-    def _pushes(self) -> bool:
-        """Return, and remember, whether the robot pushes harder than it may."""
+    def _exceeds_force(self) -> bool:
+        """Return, and remember, whether the contact force exceeds its limit."""
         if self._env.simulation.robot_push().force <= self._settings.stop_force:
             return False
         self._collided = True
         return True
 
-    def _carry_across(self, trajectory: Trajectory, k: int) -> bool:  # noqa: ARG002 - those that leave out physics do
-        """Bring the load from sample ``k``, lifted, to the trajectory's end in one, if that can be; it cannot."""
+    def _carry_kinematically(self, trajectory: Trajectory, k: int) -> bool:  # noqa: ARG002 - a subclass uses them
+        """Put arm and load from sample ``k`` to the trajectory's end, where possible; return whether they are there."""
         return False
 
     def _step(self, q: Floats, gripper: float) -> None:
         if self._env.truncated:
             return
-        self._way.append(self._env.simulation.target.copy())
+        self._commanded.append(self._env.simulation.target.copy())
         self._advance(np.append(q, gripper).astype(np.float32))
 
     def _advance(self, action: NDArray[np.float32]) -> None:

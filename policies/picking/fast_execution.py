@@ -1,4 +1,4 @@
-"""An attempt with the physics left out where nothing can come of it: on free ways, and at rest."""
+"""An attempt without physics where the physics cannot matter: on free ways, and at rest."""
 
 from functools import partial
 
@@ -12,85 +12,96 @@ from binpick_env.config import CONTROL_PERIOD
 from binpick_env.env import BinPickEnv
 from policies.motion.trajectory import Trajectory
 from policies.picking.execution import Execution, ExecutionSettings
-from policies.picking.scripted import PickerSettings, ScriptedPicker
+from policies.picking.scripted import ScriptedPicker
+from policies.picking.settings import PickerSettings
 
-_MARGIN = 3  # control steps before the first touch from which the physics run
-_FIRM = 2  # control steps in which a load that was carried without physics comes to rest in the jaw
-_REST_TIME = 2.0  # that the pile gets to fall asleep before the next frame, at most [s]
+_MARGIN = 3  # control steps before the first contact from which the physics are simulated
+_SETTLE = 2  # control steps in which a load that was carried without physics comes to rest in the jaw
+_REST_TIME = 2.0  # longest wait for the pile to fall asleep before the next frame [s]
 
 
 class FastExecution(Execution):
-    """Makes the attempt as its parent does, but the arm glides wherever it touches nothing.
+    """Makes the attempt as its parent does, but moves the arm kinematically wherever it touches nothing.
 
-    The straight way in is checked for touch at every control step, with the true shapes, and simulated from just
-    before the first. Closing, lifting and releasing are always simulated, and so is every motion that touches
-    something. A part that hangs alone and free in the jaw is carried across as it hangs: what would slip out on the way
-    does not. The way home is left out once the jaw is free, and the next frame is taken when the pile sleeps.
+    - The straight approach is checked for contact at every control step, with the true shapes, and simulated from just
+      before the first one.
+    - Closing, lifting and releasing are always simulated, and so is every motion that touches something.
+    - A part that hangs alone and free in the jaw is carried across as it hangs. A part that would slip out on the way
+      does not.
+    - The way home is left out once the jaw is free.
+    - The next frame is taken when the pile is asleep.
     """
 
     def __init__(
-        self, env: BinPickEnv, settings: ExecutionSettings, glide: KinematicMotion, *, looks: bool = True
+        self, env: BinPickEnv, settings: ExecutionSettings, motion: KinematicMotion, *, next_frame: bool = True
     ) -> None:
-        """Use ``glide``, which is made once for an environment; without ``looks`` no frame is taken at the end."""
+        """Prepare one attempt.
+
+        Args:
+            env: The unwrapped cell.
+            settings: Times and forces.
+            motion: Kinematic motion of this cell, which is made once and serves all attempts.
+            next_frame: Whether a frame is taken at the end.
+        """
         super().__init__(env, settings)
-        self._glide, self._looks = glide, looks
+        self._motion, self._next_frame = motion, next_frame
 
     def follow(self, trajectory: Trajectory, gripper: float, *, guard: bool = False) -> bool:
-        """Run a trajectory as the parent does, with the physics from just before the first touch on."""
-        q, k, glides = trajectory.q, 1, True  # once: what stops a glide stays near
+        """Run a trajectory as the parent does, with the physics from just before the first contact on."""
+        q, k, kinematic = trajectory.q, 1, True  # only once: what ends a kinematic motion stays near
         while k < len(q):
-            if glides and not self._glide.touches() and (k > trajectory.marks[0] or self._pile_sleeps()):
-                k = self._glide_on(trajectory, k, gripper)
-                glides = False
+            if kinematic and not self._motion.touches() and (k > trajectory.marks[0] or self._pile_sleeps()):
+                k = self._move_kinematically(trajectory, k, gripper)
+                kinematic = False
                 continue
             self._step(q[k], gripper)
-            if guard and self._pushes():
+            if guard and self._exceeds_force():
                 return False
             k += 1
         return True
 
-    def leap_home(self) -> bool:
-        """Be at home, unless something is touched."""
-        if self._glide.touches():
+    def place_home(self) -> bool:
+        """Put the arm at home, unless it touches something; return whether it is there."""
+        if self._motion.touches():
             return False
-        self._glide.place(HOME, HOME, 0.0)
+        self._motion.place(HOME, HOME, 0.0)
         return True
 
     def await_judgement(self) -> None:
-        """Wait until every part is judged and the pile sleeps, then take the next frame."""
+        """Wait until every part is judged and the pile is asleep, then take the next frame."""
         super().await_judgement()
         for _ in range(round(_REST_TIME / CONTROL_PERIOD)):
             if self._pile_sleeps():
                 break
             self._step(self._env.simulation.target, 0.0)
-        if self._looks and self._env.remaining > 0:
+        if self._next_frame and self._env.remaining > 0:
             self._env.look()
 
-    def _carry_across(self, trajectory: Trajectory, k: int) -> bool:
-        part = self._glide.lone_load()
+    def _carry_kinematically(self, trajectory: Trajectory, k: int) -> bool:
+        part = self._motion.lone_load()
         if part is None:
             return False
-        self._glide.carry(part, trajectory.q[-1])
+        self._motion.carry(part, trajectory.q[-1])
         self._env.skip(len(trajectory.q) - 1 - k)
-        for _ in range(_FIRM):
+        for _ in range(_SETTLE):
             self._step(trajectory.q[-1], 1.0)
         return True
 
-    def _glide_on(self, trajectory: Trajectory, k: int, gripper: float) -> int:
-        """Move kinematically from sample k - 1 until a margin before contact; return the sample to go on with."""
+    def _move_kinematically(self, trajectory: Trajectory, k: int, gripper: float) -> int:
+        """Move without physics from sample k - 1 until a margin before contact; return the next sample to step to."""
         q = trajectory.q
-        first = max(k, trajectory.marks[-2])  # planned well above the pile until there
-        back = k - 1
+        first = max(k, trajectory.marks[-2])  # until there the trajectory is planned well above the pile
+        reached = k - 1
         for j in range(first, len(q)):
-            self._glide.place(q[j - 1], q[j], gripper)
-            if self._glide.touches():
-                back = max(back - _MARGIN, k - 1)
+            self._motion.place(q[j - 1], q[j], gripper)
+            if self._motion.touches():
+                reached = max(reached - _MARGIN, k - 1)
                 break
-            back = j
-        self._glide.place(q[max(back - 1, 0)], q[back], gripper)
-        self._way.extend(q[k - 1 : back])
-        self._env.skip(back + 1 - k)
-        return back + 1
+            reached = j
+        self._motion.place(q[max(reached - 1, 0)], q[reached], gripper)
+        self._commanded.extend(q[k - 1 : reached])
+        self._env.skip(reached + 1 - k)
+        return reached + 1
 
     def _pile_sleeps(self) -> bool:
         simulation = self._env.simulation
@@ -103,18 +114,19 @@ class FastExecution(Execution):
 def fast_pickers(
     env: BinPickEnv, settings: PickerSettings | None, perception: str
 ) -> tuple[ScriptedPicker, ScriptedPicker]:
-    """Build the scripted picker that executes fast, and spare the cell what nobody looks at.
+    """Return the scripted picker with fast execution, and set the cell up to compute nothing that is not used.
 
     Args:
         env: The unwrapped cell.
-        settings: Of the picker, defaults if None.
-        perception: The cell's; the oracle does without the grey image's shadows, a third of a frame's time.
+        settings: Ranking, planning and execution; the defaults if None.
+        perception: Perception mode of the cell. With ``"oracle"`` the grey image has no shadows, which take a third of
+            a frame's time.
 
     Returns:
         The picker, and one for attempts that will be undone: it takes no frame after them.
     """
     if perception == "oracle":
         env.light = Light(occlusion=0.0)
-    glide = KinematicMotion(env.simulation)
-    picker = ScriptedPicker(env, settings, partial(FastExecution, glide=glide))
-    return picker, picker.executing(partial(FastExecution, glide=glide, looks=False))
+    motion = KinematicMotion(env.simulation)
+    picker = ScriptedPicker(env, settings, partial(FastExecution, motion=motion))
+    return picker, picker.with_execution(partial(FastExecution, motion=motion, next_frame=False))

@@ -1,46 +1,28 @@
-"""The mink picker: choose a grasp, approach, close, lift, verify, carry, release, and say what came of it."""
+"""The scripted picker: choose a grasp, approach, close, lift, verify, carry, release, and name the outcome."""
 
 import time
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, field, replace
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from binpick_env.cell.delivery import Delivery
-from binpick_env.cell.robot import HOME
 from binpick_env.env import BinPickEnv
-from perception.geometry import Floats, invert_transform, make_transform, transform_points
-from policies.grasping.clearance import RankSettings, RankStats, rank_grasps
+from perception.geometry import Floats, transform_points
+from policies.grasping.clearance import RankStats, rank_grasps
 from policies.grasping.failed_grasps import FailedGrasps
 from policies.grasping.grasps import sample_grasps
 from policies.grasping.gripper import gripper_model
 from policies.grasping.observed_scene import SeenScene
 from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
-from policies.motion.ik import IkResult, IkSolver
+from policies.motion.ik import IkResult
 from policies.motion.path_checker import HeightFunction
-from policies.motion.planner import MotionPlanner, StraightLegs, Tool
-from policies.motion.planning_scene import PlanningScene
 from policies.motion.trajectory import Trajectory
+from policies.picking.attempt_planner import AttemptPlanner
 from policies.picking.execution import Execution, ExecutionSettings
+from policies.picking.settings import PickerSettings
 
-_SPARSE = 8  # every so many of the gripper's points are checked where it has room
 ExecutionMaker = Callable[[BinPickEnv, ExecutionSettings], Execution]
-T_SENSE = 0.5  # nominal exposure of a structured-light camera [s]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PickerSettings:
-    """How the picker plans. Lengths [m]."""
-
-    rank: RankSettings = field(default_factory=RankSettings)
-    execution: ExecutionSettings = field(default_factory=ExecutionSettings)
-    grasps_tried: int = 40  # for IK and a free path, best first, before the picker abstains
-    standoff: float = 0.06  # length of the straight approach
-    approach_speed: float = 0.25  # share of the joints' velocity limit on straight lines
-    carry_scale: float = 0.7  # share of velocity and acceleration limits with a part in the jaw
-    release_height: float = 0.03  # of the carried part's lowest point above the tray's floor
-    empty_gap: float = 0.0015  # between the pads; a jaw closed further holds nothing
+T_SENSE = 0.5  # nominal exposure time of a structured-light camera [s]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,10 +30,10 @@ class Plan:
     """A grasp with the motion towards it.
 
     Attributes:
-        grasp: On a candidate of the frame it was planned on.
+        grasp: Grasp on a candidate of the frame that was planned on.
         q_grasp: (6,) posture in which the pads close [rad].
-        approach: From where the arm is to that posture.
-        frame_id: Number of that frame.
+        approach: Motion from the arm's position to that posture.
+        frame_id: Number of the frame that was planned on.
     """
 
     grasp: GraspCandidate
@@ -61,12 +43,24 @@ class Plan:
 
 
 class ScriptedPicker:
-    """Picks the best-ranked grasp that the arm can reach. Works on the candidates and the frame of the environment.
+    """Picks the best-ranked grasp that the arm can reach, from the environment's last frame and its candidates.
 
-    :meth:`pick` is :meth:`grasps`, :meth:`plan` until one of them can be reached, and :meth:`execute`; whoever chooses
-    otherwise calls these. What the policy decides on is what a real cell has: frame, candidates, joint and gripper
-    positions, the force at the tool. The truth of the physics decides nothing: it ends the wait for the verdict, and
-    names the outcome.
+    :meth:`pick` makes one decision, in three steps, which a selector may call one by one:
+
+    1. :meth:`grasps` ranks the grasps that are clear of the scene.
+    2. :meth:`plan` is asked for one grasp after the other, until there is a motion to one. It begins with
+       :meth:`reach`, which is cheaper and fails for nearly all grasps that have no plan.
+    3. :meth:`execute` makes the attempt: approach, close, lift, carry, release, go home, wait, name the outcome.
+
+    Decisions use only what a real cell has: the frame, the candidates, joint and gripper positions, and the force at
+    the tool. The simulation's truth ends the wait for the judgement, and names the outcome.
+
+    Attributes:
+        settings: How the picker plans.
+        gripper: Geometry of the gripper.
+        grasp_set: Grasps on this kind of part.
+        failed: Failed attempts of the current bin; the only thing remembered from pick to pick.
+        rank_stats: Where the last ranking lost grasps.
     """
 
     def __init__(
@@ -76,8 +70,8 @@ class ScriptedPicker:
 
         Args:
             env: The unwrapped cell.
-            settings: Defaults if None.
-            execution: Makes what steps the cell through an attempt.
+            settings: Ranking, planning and execution; the defaults if None.
+            execution: Factory of the object that steps the cell through one attempt.
 
         Raises:
             ValueError: There is no grasp on the part.
@@ -91,31 +85,28 @@ class ScriptedPicker:
                 f"the jaw (stroke {1000 * self.gripper.stroke:.0f} mm) finds no grasp on {env.part.model.name!r}: "
                 "it needs two opposite faces that its pads can reach"
             )
-        self._scene = PlanningScene(env.config)
-        self._ik = IkSolver(self._scene)
-        self._planner = MotionPlanner(self._scene, self._ik)
-        self._outline = _outline(np.asarray(env.part.model.mesh.vertices))
+        self._planner = AttemptPlanner(env.config, env.part.model, self.gripper, self.settings)
         self.rank_stats = RankStats()
-        self._compiled = False
-        self._seen: SeenScene | None = None
+        self._warm = False
+        self._last_scene: SeenScene | None = None  # of the last frame that was asked for
         self.reset()
 
-    def executing(self, execution: ExecutionMaker) -> "ScriptedPicker":
-        """Return a picker that executes in another way; it plans the same, and remembers failures of its own."""
+    def with_execution(self, execution: ExecutionMaker) -> "ScriptedPicker":
+        """Return a picker that plans the same, executes in another way, and has failed attempts of its own."""
         other = copy(self)
         other._execution = execution
         other.reset()
         return other
 
     def reset(self) -> None:
-        """Forget the last bin."""
+        """Forget the failed attempts of the last bin."""
         self.failed = FailedGrasps(reach=self._env.part.model.d_max / 4)
 
     def pick(self) -> PickResult:
         """Make one decision on the last frame: an executed attempt, or an abstention."""
-        if not self._compiled:  # the kernels' compilation is no part of a decision's time
+        if not self._warm:  # a first decision compiles kernels, which is no part of a decision's time
             self._decide()
-            self._compiled, self._seen = True, None
+            self._warm, self._last_scene = True, None
         started = time.perf_counter()
         plan = self._decide()
         compute = time.perf_counter() - started + self._env.perception_time
@@ -124,61 +115,7 @@ class ScriptedPicker:
         result = self.execute(plan)
         return replace(result, t_compute=compute + result.t_compute)
 
-    # --- planning --------------------------------------------------------------------------------------------------
-
-    def seen(self) -> SeenScene:
-        """Return what the last frame shows; it is laid out when it is first asked for."""
-        env, last = self._env, self._seen
-        if last is None or last.frame is not env.frame or last.candidates is not env.candidates:
-            last = self._seen = SeenScene.from_frame(
-                env.frame,
-                env.candidates,
-                env.workspace,
-                self.grasp_set.surface,
-                cell=self.settings.rank.cell,
-                wall=env.config.bin.wall,
-            )
-        return last
-
-    def grasps(self) -> list[GraspCandidate]:
-        """Return the grasps on the last frame's candidates that are clear of the scene, best first.
-
-        Those that failed before are left out, others on the same parts come last. Nobody has asked yet whether the arm
-        reaches them.
-        """
-        ranked, self.rank_stats = rank_grasps(self.seen(), self.grasp_set, self.gripper, self.settings.rank)
-        return self.failed.fresh_first(ranked, self._env.candidates)
-
-    def reach(self, grasp: GraspCandidate) -> IkResult | Abstention:
-        """Solve for the posture at a grasp, or say why there is none that the arm could come straight in to.
-
-        Note:
-            0.7 ms, against 10 ms for :meth:`plan`, which still fails for one in fifty of those that are reached (14 of
-            599 on tees, brackets and part_a).
-        """
-        reached = self._ik.solve_grasp(grasp.T_world_tcp, self._env.simulation.target, opening=grasp.opening)
-        if not reached.ok:
-            return Abstention.IK_INFEASIBLE
-        clearance = self._planner.settings.line_clearance  # the way in ends here
-        tight = self._scene.contacts(reached.q, opening=grasp.opening, clearance=clearance)
-        return Abstention.NO_CLEAR_APPROACH if tight else reached
-
-    def plan(self, grasp: GraspCandidate) -> Plan | Abstention:
-        """Plan the motion to a grasp, or say why there is none."""
-        env, settings = self._env, self.settings
-        reached = self.reach(grasp)
-        if isinstance(reached, Abstention):
-            return reached
-        approach = self._planner.plan_transfer(
-            env.simulation.target,
-            reached.q,
-            Tool(opening=grasp.opening, points_tcp=self.gripper.hull_points(grasp.opening)),
-            StraightLegs(standoff=settings.standoff, speed=settings.approach_speed),
-            obstacle_height=self._pile_height(),
-        )
-        if approach.trajectory is None:
-            return Abstention.NO_CLEAR_APPROACH
-        return Plan(grasp=grasp, q_grasp=reached.q, approach=approach.trajectory, frame_id=env.frame_id)
+    # --- decision --------------------------------------------------------------------------------------------------
 
     def _decide(self) -> Plan | Abstention:
         if not self._env.candidates:
@@ -192,20 +129,62 @@ class ScriptedPicker:
         unreached = reasons == {Abstention.IK_INFEASIBLE}
         return Abstention.IK_INFEASIBLE if unreached else Abstention.NO_CLEAR_APPROACH
 
+    def grasps(self) -> list[GraspCandidate]:
+        """Return the grasps on the last frame's candidates that are clear of the scene, best first.
+
+        Grasps that failed before are left out; other grasps on the same parts come last. Whether the arm reaches them
+        is not checked.
+        """
+        ranked, self.rank_stats = rank_grasps(self.observed_scene(), self.grasp_set, self.gripper, self.settings.rank)
+        return self.failed.fresh_first(ranked, self._env.candidates)
+
+    def reach(self, grasp: GraspCandidate) -> IkResult | Abstention:
+        """Solve for the posture at a grasp, or return why there is none that a straight approach could end in.
+
+        Note:
+            0.7 ms, against 10 ms for :meth:`plan`. One grasp in fifty that passes here has no plan (14 of 599 on tees,
+            brackets and part_a).
+        """
+        return self._planner.reach(grasp, self._env.simulation.target)
+
+    def plan(self, grasp: GraspCandidate) -> Plan | Abstention:
+        """Plan the motion to a grasp, or return why there is none."""
+        reached = self.reach(grasp)
+        if isinstance(reached, Abstention):
+            return reached
+        approach = self._planner.approach(self._env.simulation.target, reached.q, grasp, self._pile_height())
+        if approach is None:
+            return Abstention.NO_CLEAR_APPROACH
+        return Plan(grasp=grasp, q_grasp=reached.q, approach=approach, frame_id=self._env.frame_id)
+
+    def observed_scene(self) -> SeenScene:
+        """Return the scene in the last frame; it is computed once a frame, when first asked for."""
+        env, last = self._env, self._last_scene
+        if last is None or last.frame is not env.frame or last.candidates is not env.candidates:
+            last = self._last_scene = SeenScene.from_frame(
+                env.frame,
+                env.candidates,
+                env.workspace,
+                self.grasp_set.surface,
+                cell=self.settings.rank.cell,
+                wall=env.config.bin.wall,
+            )
+        return last
+
     def _pile_height(self) -> HeightFunction:
-        """Return the seen surface's world height [m] under (P, 3) world points."""
-        scene = self.seen().heights
+        """Return the function from (P, 3) world points to the world height [m] of the observed surface under them."""
+        heights = self.observed_scene().heights
         floor = float(self._env.workspace.T_world_bin[2, 3])
 
         def height(points_world: Floats) -> Floats:
-            return scene.highest_at(transform_points(scene.T_bin_world, points_world)) + floor
+            return heights.highest_at(transform_points(heights.T_bin_world, points_world)) + floor
 
         return height
 
-    # --- execution -------------------------------------------------------------------------------------------------
+    # --- attempt ---------------------------------------------------------------------------------------------------
 
     def execute(self, plan: Plan) -> PickResult:
-        """Make the attempt and say what came of it; of the computing, ``t_compute`` has what was done on the way.
+        """Make the attempt and name its outcome; ``t_compute`` is the time spent on planning during the attempt.
 
         Raises:
             ValueError: Another frame has been taken since the plan was made.
@@ -218,7 +197,7 @@ class ScriptedPicker:
         candidate = env.candidates[plan.grasp.candidate]
         planning = self._move(plan, execution, candidate.T_world_part)
         execution.await_judgement()
-        # A part that was out of the bin already, and came to rest only now, is an earlier attempt's.
+        # A part that was out of the bin already, and came to rest only now, belongs to an earlier attempt.
         kinds = [event.kind for event in env.events[events_before:] if event.part not in strays]
         outcome = execution.outcome(kinds)
         if outcome is not GraspOutcome.DELIVERED:
@@ -235,71 +214,31 @@ class ScriptedPicker:
         )
 
     def _move(self, plan: Plan, execution: Execution, T_world_part: Floats) -> float:
-        """Run the attempt and return the wall clock spent on planning on the way [s]."""
-        settings = self.settings
-        preshape = self.gripper.control(plan.grasp.opening)
-        if not execution.follow(plan.approach, preshape, guard=True):
+        """Run the attempt until the arm is home; return the wall clock spent on planning during it [s]."""
+        grasp = plan.grasp
+        if not execution.follow(plan.approach, self.gripper.control(grasp.opening), guard=True):
             return self._go_home(execution)
         execution.close()
         started = time.perf_counter()
-        T_world_tcp = self._ik.tcp_pose(plan.q_grasp)
-        carried = transform_points(invert_transform(T_world_tcp) @ T_world_part, self._outline)
-        jaw = self.gripper.hull_points(plan.grasp.width)[::_SPARSE]
-        tool = Tool(opening=plan.grasp.width, points_tcp=np.vstack([carried, jaw]))
-        legs = StraightLegs(lift=self._planner.clearing_lift(plan.q_grasp, tool) + 0.01)
-        release = self._release_posture(carried)
-        carry = self._planner.plan_transfer(
-            plan.q_grasp,
-            release,
-            tool,
-            legs,
-            obstacle_height=self._pile_height(),
-            scale=settings.carry_scale,
-        )
-        if carry.trajectory is None:  # with the part in the jaw, stricter clearances than the lone gripper's
-            carry = self._planner.plan_transfer(plan.q_grasp, HOME, Tool(opening=plan.grasp.width), legs)
+        carry = self._planner.carry(plan.q_grasp, grasp, T_world_part, self._pile_height())
         planning = time.perf_counter() - started
-        if carry.trajectory is None:
+        if carry is None:
             execution.release()
             execution.retrace()
             return planning
-        if not execution.carry(carry.trajectory, self.gripper.control(settings.empty_gap)):
-            return planning + self._go_home(execution)
-        execution.release()
+        if execution.carry(carry, self.gripper.control(self.settings.empty_gap)):
+            execution.release()
         return planning + self._go_home(execution)
 
-    def _release_posture(self, carried_tcp: Floats) -> Floats:
-        """Return the (6,) posture above the tray from which the carried part has the least to fall."""
-        tray = self._env.config.tray
-        hang = max(float(carried_tcp[:, 2].max()), float(self.gripper.tip_z(0.0)))
-        at_home = self._ik.tcp_pose(HOME)
-        z = tray.wall + self.settings.release_height + hang
-        T_world_tcp = make_transform(at_home[:3, :3], (*tray.position, max(z, tray.wall + tray.inner_size[2])))
-        reached = self._ik.solve(T_world_tcp, HOME)
-        return reached.q if reached.ok else HOME
-
     def _go_home(self, execution: Execution) -> float:
-        """Lift out of the bin and go home with the jaw open; return the wall clock of planning [s]."""
-        if execution.leap_home():
+        """Lift out of the bin and go home with the jaw open; return the wall clock spent on planning [s]."""
+        if execution.place_home():
             return 0.0
         started = time.perf_counter()
-        q = self._env.simulation.target.copy()
-        tool = Tool(points_tcp=self.gripper.hull_points(0.0)[::_SPARSE])
-        legs = StraightLegs(lift=self._planner.clearing_lift(q, tool))
-        plan = self._planner.plan_transfer(q, HOME, tool, legs)
+        way = self._planner.home(self._env.simulation.target.copy())
         planning = time.perf_counter() - started
-        if plan.trajectory is None:
+        if way is None:
             execution.retrace()
         else:
-            execution.follow(plan.trajectory, 0.0)
+            execution.follow(way, 0.0)
         return planning
-
-
-def _outline(vertices: Floats, count: int = 64) -> Floats:
-    """Return at most ``count`` of (N, 3) vertices, spread by farthest-point sampling: the part's extent."""
-    chosen = [int(np.argmax(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1)))]
-    distance = np.linalg.norm(vertices - vertices[chosen[0]], axis=1)
-    while len(chosen) < min(count, len(vertices)):
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(vertices - vertices[chosen[-1]], axis=1))
-    return vertices[chosen]

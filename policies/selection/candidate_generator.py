@@ -99,7 +99,7 @@ class CandidateGenerator:
                 refused[reached] += 1
                 continue
             kept.append(grasp)
-            margins.append(reached.margin)
+            margins.append(reached.min_singular_value)
             taken[grasp.candidate] += 1
         if not kept:
             unreached = set(refused) == {Abstention.IK_INFEASIBLE}
@@ -115,7 +115,7 @@ class CandidateGenerator:
     def _scene(self) -> GraspScene:
         env, picker = self._env, self._picker
         return GraspScene(
-            seen=picker.seen(),
+            seen=picker.observed_scene(),
             d_max=env.part.model.d_max,
             gripper=picker.gripper,
             rank=picker.settings.rank,

@@ -19,7 +19,8 @@ from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.episode import Termination
 from policies.picking.execution import Execution
 from policies.picking.fast_execution import fast_pickers
-from policies.picking.scripted import T_SENSE, PickerSettings, ScriptedPicker
+from policies.picking.scripted import T_SENSE, ScriptedPicker
+from policies.picking.settings import PickerSettings
 from policies.selection.candidate_generator import PER_PART, ROWS, CandidateGenerator, GraspCandidates, Observation
 from policies.selection.features import HIGH, LOW
 
@@ -149,7 +150,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
             self.picker, self._prober = fast_pickers(self.cell, picker, perception)
         else:
             self.picker = ScriptedPicker(self.cell, picker)
-            self._prober = self.picker.executing(Execution)
+            self._prober = self.picker.with_execution(Execution)
         self.max_failures, self.per_part = max_failures, per_part
         self.render_mode = render_mode
         self._menu = CandidateGenerator(self.cell, self.picker, per_part)

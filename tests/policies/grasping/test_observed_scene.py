@@ -8,7 +8,8 @@ from perception.geometry import Floats
 from policies.grasping.clearance import RankSettings
 from policies.grasping.heightmap import HeightMap
 from policies.grasping.observed_scene import SeenScene
-from policies.picking.scripted import PickerSettings, ScriptedPicker
+from policies.picking.scripted import ScriptedPicker
+from policies.picking.settings import PickerSettings
 from tests.policies.grasp_cell import WALL, box, candidate, look, placed, workspace
 from tests.policies.hand_cell import HandCell, hand_cell
 
@@ -79,18 +80,18 @@ def test_a_picker_lays_a_frame_out_once(tees: HandCell, monkeypatch: pytest.Monk
     monkeypatch.setattr(SeenScene, "from_frame", counted)
     grasps = picker.grasps()
     picker.plan(grasps[0])
-    assert picker.seen() is picker.seen() is made[0]
+    assert picker.observed_scene() is picker.observed_scene() is made[0]
     assert (made[0].frame, made[0].candidates) == (env.frame, env.candidates)
     assert len(made) == 1
     env.look()
-    assert picker.seen() is made[1]
+    assert picker.observed_scene() is made[1]
     env.candidates = env.candidates[:0]
-    assert picker.seen().parts == ()
+    assert picker.observed_scene().parts == ()
     assert len(made) == 3
 
 
 def test_the_settings_of_the_ranking_arrive_in_the_map(tees: HandCell) -> None:
     coarse = ScriptedPicker(tees.env, PickerSettings(rank=RankSettings(cell=0.004)))
     tees.lay(tees.flat())
-    assert coarse.seen().heights.cell == 0.004
-    assert coarse.seen().heights.outside == -tees.env.config.bin.wall
+    assert coarse.observed_scene().heights.cell == 0.004
+    assert coarse.observed_scene().heights.outside == -tees.env.config.bin.wall

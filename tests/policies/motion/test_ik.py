@@ -11,7 +11,9 @@ from binpick_env.cell.robot import ARM_JOINTS, HOME, TCP_SITE
 from binpick_env.cell.scene import cell_spec
 from binpick_env.config import CellConfig
 from perception.geometry import make_transform, rotation_about, rotation_angle
-from policies.motion.ik import IkSettings, IkSolver, _HingeLimit
+from policies.motion.differential_ik import HingeLimit
+from policies.motion.ik import IkSolver
+from policies.motion.ik_settings import IkSettings
 from policies.motion.planning_scene import PlanningScene
 
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -130,13 +132,13 @@ def test_pose_that_puts_the_jaw_into_a_wall_is_flagged(solver):
     result = solver.solve(bin_pose(0.0, 0.175, 0.03, 0, 0, 0), HOME)  # 5 mm from the wall, jaw open across
     assert result.converged
     assert result.collision
-    assert result.hopeless
+    assert result.gripper_collides
     assert any("bin/wall" in contact.first + contact.second for contact in result.contacts)
 
 
 def test_the_joints_limit_is_minks_own(scene):
     """The faster one gives the same bits."""
-    ours, theirs = _HingeLimit(scene.arm_model), mink.ConfigurationLimit(scene.arm_model)
+    ours, theirs = HingeLimit(scene.arm_model), mink.ConfigurationLimit(scene.arm_model)
     rng, limits = np.random.default_rng(5), scene.limits
     for q in [HOME, limits[:, 0], *rng.uniform(limits[:, 0], limits[:, 1], (20, 6))]:
         configuration = mink.Configuration(scene.arm_model, q)
@@ -144,13 +146,13 @@ def test_the_joints_limit_is_minks_own(scene):
         assert (G.tobytes(), h.tobytes()) == (G_mink.tobytes(), h_mink.tobytes())
 
 
-def test_guarded_descent_keeps_its_distance(scene, solver):
+def test_descent_with_collision_avoidance_keeps_its_distance(scene, solver):
     """The collision avoidance limit stops above the table where the free descent goes through it."""
     target = make_transform(DOWN, (0.2, -0.55, -0.04))
     free = solver.solve(target, HOME)
     assert free.converged
     assert free.collision
-    q, _ = solver._descend(mink.SE3.from_matrix(target), HOME, guarded=True)
+    q, _ = solver._differential.descend(mink.SE3.from_matrix(target), HOME, avoid_collisions=True)
     assert not scene.contacts(q)
     assert 0.0 < solver.tcp_pose(q)[2, 3] < 0.08
 
@@ -217,11 +219,11 @@ def test_same_call_same_bits(scene, solver):
         assert first.iterations == again.iterations
 
 
-def test_margin_vanishes_at_a_singularity(solver):
+def test_smallest_singular_value_vanishes_at_a_singularity(solver):
     straight_wrist = HOME.copy()
     straight_wrist[4] = 0.0
-    assert solver.margin(straight_wrist) < 1e-6
-    assert solver.margin(HOME) > 0.1
+    assert solver._differential.min_singular_value(straight_wrist) < 1e-6
+    assert solver._differential.min_singular_value(HOME) > 0.1
 
 
 def test_home_is_free_unwound_and_far_from_limits_and_singularities(scene, solver):
@@ -229,7 +231,7 @@ def test_home_is_free_unwound_and_far_from_limits_and_singularities(scene, solve
     assert np.min(HOME - scene.limits[:, 0]) > 1.0
     assert np.min(scene.limits[:, 1] - HOME) > 1.0
     assert np.all(np.abs(HOME) < np.pi)
-    assert solver.margin(HOME) > 0.15
+    assert solver._differential.min_singular_value(HOME) > 0.15
     T_world_tcp = solver.tcp_pose(HOME)
     np.testing.assert_allclose(T_world_tcp[:3, 2], (0, 0, -1), atol=2e-3)
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from binpick_env.cell.robot import HOME
 from binpick_env.config import CONTROL_PERIOD, RobotConfig
 from perception.geometry import make_transform, rotation_about
-from policies.motion.ik import IkSettings, IkSolver
+from policies.motion.ik import IkSolver
+from policies.motion.ik_settings import IkSettings
 from policies.motion.path_checker import PathChecker
 from policies.motion.planner import MotionPlanner, PlanFailure, PlannerSettings, StraightLegs, Tool
 from policies.motion.planning_scene import MAX_CLEARANCE, PlanningScene

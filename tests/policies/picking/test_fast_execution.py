@@ -127,7 +127,7 @@ def test_a_load_is_carried_as_it_hangs(fast: GraspSelectionEnv) -> None:
     """The part keeps its place in the jaw."""
     lay(fast, (0.05, 0.0))
     offers: list[np.ndarray] = []
-    gliding = fast.picker._execution.keywords["glide"]  # type: ignore[union-attr]
+    gliding = fast.picker._execution.keywords["motion"]  # type: ignore[union-attr]
     carry = gliding.carry
 
     def watched(part: int, target: np.ndarray) -> None:

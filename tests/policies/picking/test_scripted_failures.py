@@ -15,7 +15,8 @@ from policies.grasping.clearance import RankSettings
 from policies.grasping.outcomes import Abstention, GraspOutcome
 from policies.motion.planner import MotionPlan, MotionPlanner, PlanFailure
 from policies.picking.execution import ExecutionSettings
-from policies.picking.scripted import PickerSettings, ScriptedPicker
+from policies.picking.scripted import ScriptedPicker
+from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import HandCell, Shifted, assert_abstains, assert_fails, greased, lie
 
 STOP_FORCE = ExecutionSettings().stop_force

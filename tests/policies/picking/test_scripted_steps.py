@@ -61,8 +61,10 @@ def test_what_reach_refuses_has_no_plan(cell: HandCell) -> None:
             reached = cell.picker.reach(grasp)
             if isinstance(reached, Abstention):
                 assert cell.picker.plan(grasp) is reached
-                approach = cell.picker._planner.plan_transfer  # as it is without the short cut
-                q = cell.picker._ik.solve_grasp(grasp.T_world_tcp, cell.env.simulation.target, opening=grasp.opening)
+                approach = cell.picker._planner._motion.plan_transfer  # as it is without the short cut
+                q = cell.picker._planner._ik.solve_grasp(
+                    grasp.T_world_tcp, cell.env.simulation.target, opening=grasp.opening
+                )
                 if q.ok:
                     refused += 1
                     tool, legs = Tool(opening=grasp.opening), StraightLegs(standoff=0.06)
@@ -75,9 +77,9 @@ def test_a_grasp_that_is_reached_is_reached(cell: HandCell) -> None:
     grasp = cell.picker.grasps()[0]
     reached = cell.picker.reach(grasp)
     assert not isinstance(reached, Abstention)
-    T_world_tcp = cell.picker._ik.tcp_pose(reached.q)
+    T_world_tcp = cell.picker._planner._ik.tcp_pose(reached.q)
     np.testing.assert_allclose(T_world_tcp[:3, 3], grasp.T_world_tcp[:3, 3], atol=1e-3)
-    assert reached.margin > 0.1
+    assert reached.min_singular_value > 0.1
 
 
 def test_a_plan_is_for_its_own_frame(cell: HandCell) -> None:

@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 import binpick_env  # noqa: F401  registers the id
 from policies.grasping.clearance import RankSettings
-from policies.picking.scripted import PickerSettings
+from policies.picking.settings import PickerSettings
 from policies.selection.candidate_generator import ROWS
 from policies.selection.env import MAX_EPISODE_STEPS, GraspSelectionEnv
 from policies.selection.features import FEATURES

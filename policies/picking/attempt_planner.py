@@ -1,0 +1,118 @@
+"""The motions of an attempt: to the grasp, with the part to the tray, and home."""
+
+import numpy as np
+
+from binpick_env.cell.robot import HOME
+from binpick_env.config import CellConfig
+from perception.geometry import Floats, invert_transform, make_transform, transform_points
+from perception.part import PartModel
+from policies.grasping.gripper import GripperModel
+from policies.grasping.outcomes import Abstention, GraspCandidate
+from policies.motion.ik import IkResult, IkSolver
+from policies.motion.path_checker import HeightFunction
+from policies.motion.planner import MotionPlanner, StraightLegs, Tool
+from policies.motion.planning_scene import PlanningScene
+from policies.motion.trajectory import Trajectory
+from policies.picking.settings import PickerSettings
+
+_SPARSE = 8  # every eighth of the gripper's points is checked where it has room
+_OUTLINE_POINTS = 64  # vertices that stand for the carried part
+_LIFT_MARGIN = 0.01  # lift beyond the height at which the carried part clears the rim [m]
+
+
+class AttemptPlanner:
+    """Plans the three motions of an attempt in one cell with one kind of part. No call depends on an earlier one."""
+
+    def __init__(self, config: CellConfig, part: PartModel, gripper: GripperModel, settings: PickerSettings) -> None:
+        """Compile the cell's planning models; about two seconds.
+
+        Args:
+            config: The cell.
+            part: Kind of part that is carried.
+            gripper: Surfaces of the gripper.
+            settings: Speeds and distances.
+        """
+        self._config, self._gripper, self._settings = config, gripper, settings
+        self._scene = PlanningScene(config)
+        self._ik = IkSolver(self._scene)
+        self._motion = MotionPlanner(self._scene, self._ik)
+        self._outline = _farthest_points(np.asarray(part.mesh.vertices), _OUTLINE_POINTS)
+
+    def reach(self, grasp: GraspCandidate, q_from: Floats) -> IkResult | Abstention:
+        """Solve for the posture at a grasp, close to (6,) ``q_from`` [rad], or return why there is none.
+
+        A posture nearer to the cell than a straight approach may come is refused, because the approach ends in it.
+        """
+        reached = self._ik.solve_grasp(grasp.T_world_tcp, q_from, opening=grasp.opening)
+        if not reached.ok:
+            return Abstention.IK_INFEASIBLE
+        clearance = self._motion.settings.line_clearance
+        near = self._scene.contacts(reached.q, opening=grasp.opening, clearance=clearance)
+        return Abstention.NO_CLEAR_APPROACH if near else reached
+
+    def approach(
+        self, q_from: Floats, q_grasp: Floats, grasp: GraspCandidate, pile: HeightFunction
+    ) -> Trajectory | None:
+        """Plan across to the pre-grasp and straight in to the grasp; None if there is no free way.
+
+        Args:
+            q_from: (6,) start [rad].
+            q_grasp: (6,) posture at the grasp, by :meth:`reach` [rad].
+            grasp: The grasp.
+            pile: Height of the pile.
+        """
+        tool = Tool(opening=grasp.opening, points_tcp=self._gripper.hull_points(grasp.opening))
+        legs = StraightLegs(standoff=self._settings.standoff, speed=self._settings.approach_speed)
+        return self._motion.plan_transfer(q_from, q_grasp, tool, legs, obstacle_height=pile).trajectory
+
+    def carry(
+        self, q_grasp: Floats, grasp: GraspCandidate, T_world_part: Floats, pile: HeightFunction
+    ) -> Trajectory | None:
+        """Plan the lift and the way to the tray with the part in the jaw; None if there is no free way.
+
+        Where the part leaves no way to the tray, the motion ends at home, which is above the tray; it is then checked
+        for the gripper alone, and at full speed.
+
+        Args:
+            q_grasp: (6,) posture at the grasp, where the motion starts [rad].
+            grasp: The grasp.
+            T_world_part: (4, 4) pose of the part before the lift.
+            pile: Height of the pile.
+        """
+        part_tcp = transform_points(invert_transform(self._ik.tcp_pose(q_grasp)) @ T_world_part, self._outline)
+        jaw_tcp = self._gripper.hull_points(grasp.width)[::_SPARSE]
+        tool = Tool(opening=grasp.width, points_tcp=np.vstack([part_tcp, jaw_tcp]))
+        legs = StraightLegs(lift=self._motion.clearing_lift(q_grasp, tool) + _LIFT_MARGIN)
+        q_release = self._release_posture(part_tcp)
+        to_tray = self._motion.plan_transfer(
+            q_grasp, q_release, tool, legs, obstacle_height=pile, scale=self._settings.carry_scale
+        )
+        if to_tray.trajectory is not None:
+            return to_tray.trajectory
+        return self._motion.plan_transfer(q_grasp, HOME, Tool(opening=grasp.width), legs).trajectory
+
+    def home(self, q_from: Floats) -> Trajectory | None:
+        """Plan out of the bin and home with the jaw open from a (6,) posture [rad]; None if there is no free way."""
+        tool = Tool(points_tcp=self._gripper.hull_points(0.0)[::_SPARSE])
+        legs = StraightLegs(lift=self._motion.clearing_lift(q_from, tool))
+        return self._motion.plan_transfer(q_from, HOME, tool, legs).trajectory
+
+    def _release_posture(self, part_tcp: Floats) -> Floats:
+        """Return the (6,) posture over the tray in which (P, 3) points of the carried part hang lowest; else home."""
+        tray = self._config.tray
+        hang = max(float(part_tcp[:, 2].max()), float(self._gripper.tip_z(0.0)))
+        R_world_tcp = self._ik.tcp_pose(HOME)[:3, :3]
+        z = tray.wall + self._settings.release_height + hang
+        T_world_tcp = make_transform(R_world_tcp, (*tray.position, max(z, tray.wall + tray.inner_size[2])))
+        reached = self._ik.solve(T_world_tcp, HOME)
+        return reached.q if reached.ok else HOME
+
+
+def _farthest_points(points: Floats, count: int) -> Floats:
+    """Return at most ``count`` of (N, 3) points by farthest-point sampling."""
+    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
+    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return points[chosen]

@@ -1,0 +1,20 @@
+"""Settings of the scripted picker."""
+
+from dataclasses import dataclass, field
+
+from policies.grasping.clearance import RankSettings
+from policies.picking.execution import ExecutionSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class PickerSettings:
+    """How the picker plans. Lengths [m]."""
+
+    rank: RankSettings = field(default_factory=RankSettings)  # which grasps are clear, and which come first
+    execution: ExecutionSettings = field(default_factory=ExecutionSettings)  # times and forces of an attempt
+    grasps_tried: int = 40  # largest number of grasps, best first, that a decision plans for before it abstains
+    standoff: float = 0.06  # length of the straight approach
+    approach_speed: float = 0.25  # share of the joints' velocity limit allowed on the straight approach
+    carry_scale: float = 0.7  # share of velocity and acceleration limits used with a part in the jaw
+    release_height: float = 0.03  # height of the carried part's lowest point above the tray's floor at the release
+    empty_gap: float = 0.0015  # distance between the pads under which the jaw holds nothing
