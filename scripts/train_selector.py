@@ -9,7 +9,7 @@ from typing import Literal
 import tyro
 from tqdm import tqdm
 
-from policies.selection.learning.experience import Behaviour, Cells
+from policies.selection.learning.experience import AttemptLog, Behaviour, Cells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,8 @@ def ppo(args: tyro.conf.OmitArgPrefixes[Ppo]) -> int:
         from policies.selection.network import SelectorNetConfig
 
         network = SelectorNetConfig(hidden=args.hidden)
-        config = PpoConfig(network=network, rollout=args.rollout, batch=min(64, args.rollout), seed=args.seed)
+        size = {"n_envs": args.workers, "n_steps": args.rollout, "batch_size": min(64, args.rollout)}
+        config = PpoConfig(network=network, **size, seed=args.seed)
         with tqdm(total=args.picks, unit="pick", smoothing=0) as bar:
 
             def on_progress(picks: int, rates: dict[str, float]) -> None:
@@ -73,7 +74,7 @@ def ppo(args: tyro.conf.OmitArgPrefixes[Ppo]) -> int:
 
             path = train_ppo(
                 config, args.cells, args.folder("ppo"), args.picks,
-                workers=args.workers, initial=args.initial, on_progress=on_progress,
+                initial=args.initial, on_progress=on_progress,
             )  # fmt: skip
     except (ValueError, OSError, ModuleNotFoundError) as error:
         return _failed(error)
@@ -90,14 +91,12 @@ def bandit(args: tyro.conf.OmitArgPrefixes[Bandit]) -> int:
 
         features = args.features or SelectorNetConfig().features
         network = SelectorNetConfig(features=features, hidden=args.hidden, context=args.context)
-        fit = {name: getattr(args, name) for name in ("loss", "epochs", "rate", "held_out")}
-        config = BanditConfig(network=network, **fit)
+        fit = {name: getattr(args, name) for name in ("loss", "epochs", "held_out")}
+        config = BanditConfig(network=network, learning_rate=args.rate, **fit)
         behaviour = Behaviour(selector=args.behaviour, epsilon=args.epsilon, tries=args.tries)
         with tqdm(total=args.bins, unit="bin", smoothing=0) as bar:
-            path, last = train_bandit(
-                config, args.cells, behaviour, args.folder("bandit"), args.bins,
-                seed=args.seed, workers=args.workers, on_bin=lambda _: bar.update(),
-            )  # fmt: skip
+            log = AttemptLog(folder=args.folder("bandit"), cells=args.cells, behaviour=behaviour, seed=args.seed)
+            path, last = train_bandit(config, log, args.bins, workers=args.workers, on_bin=lambda _: bar.update())
     except (ValueError, OSError, ModuleNotFoundError) as error:
         return _failed(error)
     print(f"on held-out bins: {last}" if args.held_out else f"on all bins, fitted: cross-entropy {last.loss:.3f}")

@@ -1,76 +1,62 @@
-"""One training of the bandit from logging to weights, resumable by bin."""
+"""Training of a bandit from the logging of attempts to a selector's weights, resumable by bin."""
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
-from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, git_commit, versions
 from policies.selection.learning.bandit import BanditConfig, Epoch, fit_bandit
-from policies.selection.learning.experience import Attempts, Behaviour, Cells, bin_file, gather
+from policies.selection.learning.experience import AttemptLog, Attempts
 from policies.selection.weights import save_selector
 
-WEIGHTS, CONFIG = "selector.safetensors", "experience.json"
-
-
-class ExperienceError(ValueError):
-    """The folder holds attempts in other bins."""
+WEIGHTS = "selector.safetensors"
 
 
 def train_bandit(
     config: BanditConfig,
-    cells: Cells,
-    behaviour: Behaviour,
-    out: Path,
+    log: AttemptLog,
     bins: int,
     *,
-    seed: int,
     workers: int = 1,
     on_bin: Callable[[int], object] | None = None,
 ) -> tuple[Path, Epoch]:
-    """Log the attempts in ``bins`` bins, fit the network to them and keep it.
+    """Log the attempts in ``bins`` bins, fit the network to them and write it to the folder of the log.
+
+    Bins that have been logged already are not picked again.
 
     Args:
-        config: Of the fit.
-        cells: What is picked.
-        behaviour: Who chooses while attempts are logged.
-        out: Folder of attempts, weights and ``tensorboard``.
-        bins: How many; those that lie there already are not picked again.
-        seed: Of piles, exploration and fit.
-        workers: Processes that log.
-        on_bin: Called with the index of each bin that is there.
+        config: Loss, network and optimiser of the fit.
+        log: Folder, cells, behaviour policy and seed; the seed is that of the fit, too.
+        bins: Number of bins.
+        workers: Number of processes that log.
+        on_bin: Callback with the index of each bin whose attempts are complete.
 
     Returns:
-        Path of the selector, and how well the last pass did.
+        Path of the selector, and the quality of the fit after the last pass.
 
     Raises:
         ValueError: No attempt was made.
-        ExperienceError: The folder holds attempts in other bins, or with another behaviour.
+        ExperienceError: The folder holds attempts from other bins or under another behaviour policy.
     """
-    mine = {"cells": cells.plain(), "behaviour": asdict(behaviour), "seed": seed}
-    note = out / CONFIG
-    if note.exists() and json.loads(note.read_text()) != json.loads(json_text(mine)):
-        raise ExperienceError(f"{out} holds attempts in other bins; choose another folder with --out")
-    write_atomically(note, json_text(mine))
-    for index in gather(cells, behaviour, out, range(bins), seed, workers):
+    log.claim()
+    for index in log.fill(range(bins), workers):
         if on_bin is not None:
             on_bin(index)
-    attempts = Attempts.load([bin_file(out, index) for index in range(bins)])
+    attempts = log.attempts(range(bins))
     epochs: list[Epoch] = []
-    network = fit_bandit(attempts, config, seed, epochs.append)
-    _log(out / "tensorboard", epochs, attempts)
-    rate = float(attempts.delivered.mean())
-    record = {"method": "bandit", "bandit": asdict(config), **mine, "bins": bins, "attempts": len(attempts)}
-    record |= {"gsr_while_logging": rate, "last": asdict(epochs[-1])}
+    network = fit_bandit(attempts, config, log.seed, epochs.append)
+    _write_curves(log.folder / "tensorboard", epochs, attempts)
+    record = {"method": "bandit", "bandit": config.record(), **log.plain(), "bins": bins, "attempts": len(attempts)}
+    record |= {"gsr_while_logging": float(attempts.delivered.mean()), "last": asdict(epochs[-1])}
     record |= {"command": command_line(), "commit": git_commit(), "versions": versions()}
-    save_selector(out / WEIGHTS, network, record)
-    return out / WEIGHTS, epochs[-1]
+    path = log.folder / WEIGHTS
+    save_selector(path, network, record)
+    return path, epochs[-1]
 
 
-def _log(folder: Path, epochs: list[Epoch], attempts: Attempts) -> None:
+def _write_curves(folder: Path, epochs: list[Epoch], attempts: Attempts) -> None:
     with SummaryWriter(str(folder)) as writer:
         writer.add_scalar("selector/gsr", float(attempts.delivered.mean()), 0)
         for each in epochs:

@@ -1,7 +1,7 @@
-"""What a selector learns from: the cells it is tried in, and logged attempts with what came of them."""
+"""The experience that a selector learns from: simulated cells, and a log of attempts with their outcomes."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from binpick_env.config import BinConfig, CameraConfig, CellConfig, Perception, SensorPreset
 from binpick_env.jobs.process_map import map_indices
-from perception.runtime.files import json_text, replace_atomically
+from perception.runtime.files import json_text, replace_atomically, write_atomically
 from policies.grasping.outcomes import PickResult
 from policies.selection.candidate_generator import Observation
 from policies.selection.env import GraspSelectionEnv
 from policies.selection.selectors import load_selector
+
+CONFIG = "experience.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,18 +26,18 @@ class Cells:
     """The bins that experience is gathered in."""
 
     part: str = "tee"  # catalogue name, or path to an STL, OBJ or PLY file
-    min_parts: int = 20  # smallest fill of a bin
-    max_parts: int = 30  # largest fill
-    perception: Perception = "oracle"  # learned for the last stretch of a training
-    pose_noise: Literal["learned"] | None = None  # the oracle's: errors such as the learned perceiver's, or none
-    sensor: SensorPreset = "good"  # the depth camera's noise
+    min_parts: int = 20  # smallest number of parts in a bin
+    max_parts: int = 30  # largest number of parts in a bin
+    perception: Perception = "oracle"  # source of the poses; "learned" for the last stretch of a training
+    pose_noise: Literal["learned"] | None = None  # "learned": the oracle errs as the learned perceiver does
+    sensor: SensorPreset = "good"  # noise of the depth camera
     fast: bool = False  # leave out the physics of an arm that touches nothing
-    max_failures: int = 2  # in a row, that end a bin
+    max_failures: int = 2  # consecutive failures that end a bin
     bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; None is the standard bin
-    hand_eye: float = 0.0  # error of the camera's reported place, standard deviation an axis [m]
+    hand_eye: float = 0.0  # standard deviation per axis of the camera's reported position [m]
 
     def environment(self) -> GraspSelectionEnv:
-        """Build one; it casts rays on one thread."""
+        """Build an environment that casts rays on one thread."""
         values = asdict(self)
         num_parts = values.pop("min_parts"), values.pop("max_parts")
         size = values.pop("bin")
@@ -44,20 +46,40 @@ class Cells:
         return GraspSelectionEnv(**values, num_parts=num_parts, config=config, camera=camera, threads=1)
 
     def plain(self) -> dict[str, Any]:
-        """Return the values as they are noted, and as JSON gives them back."""
+        """Return the values as they are written to files, in the types that JSON gives back."""
         values: dict[str, Any] = json.loads(json_text(asdict(self)))
         return values
+
+    @classmethod
+    def upgraded(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what any version's :meth:`plain` wrote as this version writes it; new settings take their defaults."""
+        return {**cls().plain(), **values}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Behaviour:
+    """The behaviour policy: how grasps are chosen while attempts are logged."""
+
+    selector: str = "weighted"  # name of a heuristic, or of or path to a trained selector
+    epsilon: float = 0.3  # share of the choices that are made at random instead
+    tries: int = 1  # attempts from each state; all but the chosen one are drawn at random and undone
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.epsilon <= 1:
+            raise ValueError(f"epsilon must be in [0, 1], got {self.epsilon}")
+        if self.tries < 1:
+            raise ValueError(f"tries must be at least 1, got {self.tries}")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Attempts:
-    """Logged attempts (N,) with all that was on offer.
+    """Logged attempts (N,), each with all grasp candidates that could have been chosen.
 
     Attributes:
-        grasps: (N, K, F) float32 rows.
-        mask: (N, K) int8.
-        chosen: (N,) row.
-        delivered: (N,) bool.
+        grasps: (N, K, F) float32 features of the candidates.
+        mask: (N, K) int8, 1 for rows that hold a candidate.
+        chosen: (N,) row of the candidate that was attempted.
+        delivered: (N,) bool, whether the attempt delivered its part.
         bins: (N,) index of the bin.
         states: (N,) number of the decision in its bin; attempts from one state share it.
     """
@@ -74,10 +96,10 @@ class Attempts:
 
     @classmethod
     def load(cls, paths: Sequence[Path]) -> "Attempts":
-        """Read bins' files, one after the other.
+        """Read the files of bins and join them in their order.
 
         Raises:
-            ValueError: They hold no attempt.
+            ValueError: The files hold no attempt.
         """
         columns: dict[str, list[NDArray[Any]]] = {name: [] for name in cls.__dataclass_fields__}
         for path in paths:
@@ -89,54 +111,71 @@ class Attempts:
         return cls(**{name: np.concatenate(column) for name, column in columns.items()})
 
 
+class ExperienceError(ValueError):
+    """The folder holds attempts from other bins or under another behaviour policy."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class Behaviour:
-    """Who chooses while experience is gathered."""
+class AttemptLog:
+    """A folder of logged attempts, one file per bin.
 
-    selector: str = "weighted"  # a heuristic, or a trained selector
-    epsilon: float = 0.3  # share of the choices that are made at random instead
-    tries: int = 1  # attempts from each state; all but the one that is chosen are drawn at random, and undone
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.epsilon <= 1:
-            raise ValueError(f"epsilon must be in [0, 1], got {self.epsilon}")
-        if self.tries < 1:
-            raise ValueError(f"tries must be at least 1, got {self.tries}")
-
-
-def gather(
-    cells: Cells, behaviour: Behaviour, out: Path, bins: Sequence[int], seed: int, workers: int = 1
-) -> Iterator[int]:
-    """Log the attempts in bins, one file each; yield the index of each as it is there. What is there already stays.
-
-    Args:
-        cells: What is picked.
-        behaviour: Who chooses.
-        out: Folder of the files.
-        bins: Indices.
-        seed: Bin i has numpy's SeedSequence over (seed, i).
-        workers: Processes.
+    Bin i is reset with numpy's ``SeedSequence`` over (seed, i), so that its attempts depend on neither the number of
+    bins nor the number of processes.
     """
-    missing = [index for index in bins if not bin_file(out, index).exists()]
-    yield from (index for index in bins if index not in missing)
-    yield from map_indices(partial(log_bin, cells, behaviour, out, seed), missing, workers)
+
+    folder: Path  # created with the first bin
+    cells: Cells  # bins that are picked
+    behaviour: Behaviour  # how grasps are chosen
+    seed: int  # seed of piles and exploration
+
+    def plain(self) -> dict[str, Any]:
+        """Return cells, behaviour and seed as they are written to files."""
+        return {"cells": self.cells.plain(), "behaviour": asdict(self.behaviour), "seed": self.seed}
+
+    def file(self, index: int) -> Path:
+        """Return the path of the attempts in bin ``index``."""
+        return self.folder / f"attempts_{index:05d}.npz"
+
+    def claim(self) -> None:
+        """Write what the attempts depend on into the folder.
+
+        Raises:
+            ExperienceError: The folder holds attempts from other bins or under another behaviour policy.
+        """
+        path = self.folder / CONFIG
+        if path.exists():
+            noted = json.loads(path.read_text())
+            if {**noted, "cells": Cells.upgraded(noted["cells"])} != self.plain():
+                raise ExperienceError(f"{self.folder} holds attempts in other bins; choose another folder with --out")
+        write_atomically(path, json_text(self.plain()))
+
+    def fill(self, bins: Sequence[int], workers: int = 1) -> Iterator[int]:
+        """Log the attempts in bins and yield the index of each as it is complete; files that exist are kept.
+
+        Args:
+            bins: Indices of the bins.
+            workers: Number of processes.
+        """
+        missing = [index for index in bins if not self.file(index).exists()]
+        yield from (index for index in bins if index not in missing)
+        yield from map_indices(partial(log_bin, self), missing, workers)
+
+    def attempts(self, bins: Sequence[int]) -> Attempts:
+        """Read the attempts in bins that have been logged."""
+        return Attempts.load([self.file(index) for index in bins])
 
 
-def bin_file(out: Path, index: int) -> Path:
-    """Return where the attempts of a bin are kept."""
-    return out / f"attempts_{index:05d}.npz"
+_environments: dict[Cells, GraspSelectionEnv] = {}  # cache of this process: to build one takes seconds
 
 
-_environments: dict[Cells, GraspSelectionEnv] = {}  # of this process: to build one takes seconds
-
-
-def log_bin(cells: Cells, behaviour: Behaviour, out: Path, seed: int, index: int) -> int:
-    """Pick one bin and keep its attempts; return its index."""
+def log_bin(log: AttemptLog, index: int) -> int:
+    """Pick bin ``index``, write its attempts and return the index."""
+    cells, behaviour = log.cells, log.behaviour
     if cells not in _environments:
         _environments[cells] = cells.environment()
     env, selector = _environments[cells], load_selector(behaviour.selector)
-    bin_seed = np.random.SeedSequence([seed, index]).generate_state(1)[0]
-    rng = np.random.default_rng([seed, index, 1])
+    bin_seed = np.random.SeedSequence([log.seed, index]).generate_state(1)[0]
+    rng = np.random.default_rng([log.seed, index, 1])
     observation, _ = env.reset(seed=int(bin_seed))
     rows: list[dict[str, Any]] = []
     over, state = not observation["mask"].any(), 0
@@ -153,14 +192,14 @@ def log_bin(cells: Cells, behaviour: Behaviour, out: Path, seed: int, index: int
         ]
         state += 1
         observation, over = after, terminated or truncated
-    _save(bin_file(out, index), rows, env)
+    _save(log.file(index), rows, env)
     return index
 
 
 def _probed(
     env: GraspSelectionEnv, observation: Observation, chosen: int, count: int, rng: np.random.Generator
 ) -> list[tuple[int, bool]]:
-    """Attempt up to ``count`` other rows from this state; return each with whether it delivered."""
+    """Attempt up to ``count`` rows other than ``chosen`` from this state; return each with whether it delivered."""
     others = np.setdiff1d(np.flatnonzero(observation["mask"]), [chosen])
     results = [(int(row), env.probe(np.int64(row))) for row in rng.permutation(others)[:count]]
     return [(row, result.success) for row, result in results if isinstance(result, PickResult)]

@@ -1,8 +1,8 @@
-"""MaskablePPO on `BinPickSelect-v0`: checkpoints, TensorBoard, success rates; the weights are kept as a selector."""
+"""MaskablePPO on `BinPickSelect-v0` with checkpoints and TensorBoard; the result is a selector."""
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from policies.grasping.outcomes import Abstention, GraspOutcome
 from policies.selection.env import ABSTAINED
 from policies.selection.learning.experience import Cells
 from policies.selection.learning.policy import SelectorPolicy
+from policies.selection.learning.record_keys import PPO_KEYS, with_former_keys, without_former_keys
 from policies.selection.network import SelectorNet, SelectorNetConfig
 from policies.selection.weights import load_selector_net, save_selector
 
@@ -30,30 +31,36 @@ _NO_ATTEMPT = {"", ABSTAINED, *map(str, Abstention)}
 
 @dataclass(frozen=True, kw_only=True)
 class PpoConfig:
-    """What a training's result depends on, its length and its cells aside."""
+    """Hyperparameters under SB3's names; only ``n_envs`` may change when a training is resumed."""
 
     network: SelectorNetConfig = field(default_factory=SelectorNetConfig)
-    rollout: int = 128  # picks of each process between updates
-    batch: int = 64  # picks of a gradient step
-    epochs: int = 6  # passes over a rollout
-    rate: float = 3e-4  # Adam's
-    discount: float = 0.9  # of rewards to come: what a pick does to the pile shows within some ten picks
-    entropy: float = 0.01  # weight of the policy's entropy in the loss
-    seed: int = 0  # of weights, order and piles
+    n_envs: int = 1  # number of environments; several run in processes of their own
+    n_steps: int = 128  # picks per environment between updates
+    batch_size: int = 64  # picks per gradient step
+    n_epochs: int = 6  # passes over the picks of an update
+    learning_rate: float = 3e-4  # step size of Adam
+    gamma: float = 0.9  # discount factor: what a pick does to the pile shows within some ten picks
+    ent_coef: float = 0.01  # weight of the policy's entropy in the loss
+    seed: int = 0  # seed of initial weights, order of the picks and piles
 
     def __post_init__(self) -> None:
-        for name in ("rollout", "batch", "epochs"):
+        for name in ("n_envs", "n_steps", "batch_size", "n_epochs"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not (self.rate > 0 and 0 <= self.discount <= 1 and self.entropy >= 0):
+        if not (self.learning_rate > 0 and 0 <= self.gamma <= 1 and self.ent_coef >= 0):
             raise ValueError(
-                f"rate must be positive, discount in [0, 1], entropy not negative, got {self.rate}, {self.discount} "
-                f"and {self.entropy}"
+                f"learning_rate must be positive, gamma in [0, 1], ent_coef not negative, got {self.learning_rate}, "
+                f"{self.gamma} and {self.ent_coef}"
             )
+
+    def record(self) -> dict[str, Any]:
+        """Return the settings as they are written to files, under their present and their former names."""
+        values: dict[str, Any] = json.loads(json_text(with_former_keys(asdict(self), PPO_KEYS)))
+        return values
 
 
 class TrainingError(ValueError):
-    """The folder holds another training."""
+    """The folder holds a training with another configuration."""
 
 
 def train_ppo(
@@ -62,35 +69,37 @@ def train_ppo(
     out: Path,
     picks: int,
     *,
-    workers: int = 1,
     initial: Path | None = None,
     on_progress: Callable[[int, dict[str, float]], None] | None = None,
 ) -> Path:
-    """Train until ``picks`` have been made in all, from the folder's checkpoint where there is one.
+    """Train until ``picks`` picks have been made in all, starting from the folder's checkpoint if it holds one.
 
-    The cells may change from one call to the next: the last stretch may see with the learned perception. The chance of
-    a training that was stopped and resumed is not that of one in one piece.
+    The cells may change from one call to the next: the last stretch may use the learned perception. A training that was
+    stopped and resumed does not draw the same random numbers as an uninterrupted one.
 
     Args:
-        config: Of network and method.
-        cells: What is picked.
+        config: Network and hyperparameters.
+        cells: Bins that are picked.
         out: Folder of checkpoint, weights, ``tensorboard`` and configuration.
-        picks: In all, those before the checkpoint included; whole rollouts are made.
-        workers: Processes, one cell each.
-        initial: Selector to start from; random weights if None, and without effect where there is a checkpoint.
-        on_progress: Called after each rollout with the picks so far and the rates of the last bins.
+        picks: Total number of picks, including those before the checkpoint; an update is always completed.
+        initial: Selector to start from, which also determines the network instead of ``config``; random weights if
+            None. A checkpoint takes precedence.
+        on_progress: Callback with the picks so far and the rates in the last bins, called before each update.
 
     Returns:
         Path of the selector.
 
     Raises:
-        TrainingError: The folder holds a training of another configuration.
+        TrainingError: The folder holds a training with another configuration.
     """
-    stretches = _claim(config, cells, out)
+    stretches = _stretches(config, cells, out)
     with one_core():
-        vector = _vector(cells, workers, config.seed)
+        vector = _vector(cells, config)
         try:
             model = _model(config, vector, out, initial)
+            trained = replace(config, network=network_of(model).config)
+            noted = {"ppo": trained.record(), "requested_network": asdict(config.network), "cells": stretches}
+            write_atomically(out / CONFIG, json_text(noted))
             keeper = _Keeper(out, on_progress)
             model.set_random_seed(config.seed + model.num_timesteps)  # a resumed stretch sees other piles
             model.learn(
@@ -101,30 +110,30 @@ def train_ppo(
             )
         finally:
             vector.close()
-        record = {"method": "MaskablePPO", "ppo": asdict(config), "cells": stretches, "picks": model.num_timesteps}
+        record = {"method": "MaskablePPO", "ppo": trained.record(), "cells": stretches, "picks": model.num_timesteps}
         record |= {"rates": keeper.rates(), "command": command_line(), "commit": git_commit(), "versions": versions()}
         save_selector(out / WEIGHTS, network_of(model), record)
     return out / WEIGHTS
 
 
 def network_of(model: MaskablePPO) -> SelectorNet:
-    """Return the network that a model trains."""
+    """Return the network that ``model`` trains."""
     policy = model.policy
     assert isinstance(policy, SelectorPolicy)
     return policy.network
 
 
 class _Keeper(BaseCallback):
-    """Logs the rates of the last bins, and keeps a checkpoint after each rollout."""
+    """Logs the rates in the last bins, and saves a checkpoint after each update."""
 
     def __init__(self, out: Path, on_progress: Callable[[int, dict[str, float]], None] | None, bins: int = 50) -> None:
         super().__init__()
         self._out, self._on_progress, self._bins = out, on_progress, bins
-        self._finished: list[tuple[int, int, bool]] = []  # delivered, total and success of the last bins
-        self._outcomes: list[bool] = []  # of the last attempts
+        self._finished: list[tuple[int, int, bool]] = []  # delivered parts, all parts and success in the last bins
+        self._outcomes: list[bool] = []  # whether each of the last attempts delivered
 
     def rates(self) -> dict[str, float]:
-        """Return DR and success rate of the last bins, GSR of about as many picks; NaN without any."""
+        """Return DR and success rate in the last bins, and GSR over about as many picks; NaN without any."""
         ended, tried = self._finished, self._outcomes
         return {
             "dr": sum(bin[0] for bin in ended) / sum(bin[1] for bin in ended) if ended else float("nan"),
@@ -149,7 +158,7 @@ class _Keeper(BaseCallback):
             self._on_progress(self.num_timesteps, self.rates())
 
     def _on_rollout_start(self) -> None:
-        self._save()  # the update after the last rollout is in it
+        self._save()  # includes the update after the last rollout
 
     def _on_training_end(self) -> None:
         self._save()
@@ -162,10 +171,10 @@ class _Keeper(BaseCallback):
         replace_atomically(self._out / CHECKPOINT, write)
 
 
-def _vector(cells: Cells, workers: int, seed: int) -> VecEnv:
-    makers: list[Callable[[], gym.Env[Any, Any]]] = [partial(_monitored, cells) for _ in range(workers)]
-    vector: VecEnv = DummyVecEnv(makers) if workers == 1 else SubprocVecEnv(makers, start_method="forkserver")
-    vector.seed(seed)
+def _vector(cells: Cells, config: PpoConfig) -> VecEnv:
+    makers: list[Callable[[], gym.Env[Any, Any]]] = [partial(_monitored, cells) for _ in range(config.n_envs)]
+    vector: VecEnv = DummyVecEnv(makers) if config.n_envs == 1 else SubprocVecEnv(makers, start_method="forkserver")
+    vector.seed(config.seed)
     return vector
 
 
@@ -182,12 +191,12 @@ def _model(config: PpoConfig, vector: VecEnv, out: Path, initial: Path | None) -
     model = MaskablePPO(
         SelectorPolicy,
         vector,
-        learning_rate=config.rate,
-        n_steps=config.rollout,
-        batch_size=config.batch,
-        n_epochs=config.epochs,
-        gamma=config.discount,
-        ent_coef=config.entropy,
+        learning_rate=config.learning_rate,
+        n_steps=config.n_steps,
+        batch_size=config.batch_size,
+        n_epochs=config.n_epochs,
+        gamma=config.gamma,
+        ent_coef=config.ent_coef,
         seed=config.seed,
         tensorboard_log=str(out / "tensorboard"),
         policy_kwargs={"features_extractor_kwargs": {"net": start.config if start is not None else network}},
@@ -198,20 +207,31 @@ def _model(config: PpoConfig, vector: VecEnv, out: Path, initial: Path | None) -
     return model
 
 
-def _claim(config: PpoConfig, cells: Cells, out: Path) -> list[dict[str, Any]]:
-    """Note the configuration in the folder, or compare with what is noted there; return the cells of all stretches.
+def _stretches(config: PpoConfig, cells: Cells, out: Path) -> list[dict[str, Any]]:
+    """Return the cells of all stretches of the folder's training, the coming one included.
 
     Raises:
-        TrainingError: Another configuration is noted.
+        TrainingError: The folder holds a training with another configuration.
     """
-    mine, path = json.loads(json_text(asdict(config))), out / CONFIG
-    stretches: list[dict[str, Any]] = []
+    path, stretches = out / CONFIG, []
     if path.exists():
         noted = json.loads(path.read_text())
-        if noted["ppo"] != mine:
+        if _resumable(_requested(noted)) != _resumable(config.record()):
             raise TrainingError(f"{out} holds a training of another configuration; choose another folder with --out")
-        stretches = noted["cells"]
+        stretches = [Cells.upgraded(values) for values in noted["cells"]]
     if not stretches or stretches[-1] != cells.plain():
         stretches.append(cells.plain())
-    write_atomically(path, json_text({"ppo": mine, "cells": stretches}))
     return stretches
+
+
+def _requested(noted: dict[str, Any]) -> dict[str, Any]:
+    """Return the configuration that a training was called with; an initial selector may have replaced its network."""
+    values: dict[str, Any] = noted["ppo"]
+    return {**values, "network": noted.get("requested_network", values["network"])}
+
+
+def _resumable(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings, from any version's file, that have to stay the same when a training is resumed."""
+    present = without_former_keys(values, PPO_KEYS)
+    present.pop("n_envs", None)
+    return present

@@ -127,4 +127,4 @@ def test_mistakes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert train.bandit(train.tyro.cli(train.Bandit, args=["--epsilon", "2", "--out", str(tmp_path)])) == 2
     assert "error: epsilon must be in [0, 1]" in capsys.readouterr().err
     assert train.ppo(train.tyro.cli(train.Ppo, args=["--rollout", "0", "--out", str(tmp_path)])) == 2
-    assert "error: rollout must be at least 1" in capsys.readouterr().err
+    assert "error: n_steps must be at least 1" in capsys.readouterr().err

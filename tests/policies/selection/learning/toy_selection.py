@@ -1,5 +1,6 @@
 """Spaces of ``BinPickSelect-v0`` without physics: grasps of quality above a half are delivered."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,9 +10,13 @@ import numpy as np
 from policies.grasping.outcomes import GraspOutcome, PickResult
 from policies.selection.candidate_generator import ROWS
 from policies.selection.features import FEATURES, HIGH, LOW, column
-from policies.selection.learning.experience import Cells
+from policies.selection.learning.experience import AttemptLog, Behaviour, Cells
+from policies.selection.network import SelectorNetConfig
+from policies.selection.selectors import Selector
 
 PARTS = 6
+CELLS = Cells(part="toy")
+SMALL_NET = SelectorNetConfig(hidden=16)
 
 
 class ToySelection(gym.Env[dict[str, np.ndarray], np.int64]):
@@ -60,3 +65,18 @@ class ToySelection(gym.Env[dict[str, np.ndarray], np.int64]):
 
 def toy(cells: Cells) -> ToySelection:
     return ToySelection()
+
+
+def attempt_log(folder: Path, behaviour: Behaviour | None = None, seed: int = 0) -> AttemptLog:
+    return AttemptLog(folder=folder, cells=CELLS, behaviour=behaviour or Behaviour(), seed=seed)
+
+
+def success(selector: Selector, bins: int = 30) -> float:
+    """Return the share of attempts that deliver when ``selector`` chooses."""
+    env, rng, delivered = ToySelection(), np.random.default_rng(0), 0
+    for seed in range(bins):
+        observation, over = env.reset(seed=1000 + seed)[0], False
+        while not over:
+            observation, _, over, _, _ = env.step(np.int64(selector.select(observation, rng)))
+            delivered += env.result.success
+    return delivered / (bins * PARTS)
