@@ -9,9 +9,15 @@ from typing import Any
 import numpy as np
 
 
-def json_text(values: Any) -> str:
-    """Return ``values`` as JSON; NaN, which JSON does not know, becomes null."""
-    return json.dumps(_without_nan(values), indent=1, allow_nan=False)
+def json_text(values: Any, indent: int | None = 1) -> str:
+    """Return ``values`` as JSON; NaN, which JSON does not know, becomes null.
+
+    Args:
+        values: Dictionaries, lists, tuples, numbers and text.
+        indent: Spaces before a nested value; None writes a single line without any space.
+    """
+    separators = (",", ":") if indent is None else None
+    return json.dumps(_without_nan(values), indent=indent, separators=separators, allow_nan=False)
 
 
 def _without_nan(values: Any) -> Any:

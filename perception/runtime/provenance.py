@@ -54,7 +54,7 @@ def machine() -> str:
 @lru_cache(maxsize=1)
 def git_commit() -> str:
     """Return the commit of this checkout, with ``-dirty`` for changed files; "" where the code is not in a checkout."""
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():  # the wheel may be installed inside of someone else's repository
         return ""
     try:

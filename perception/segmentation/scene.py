@@ -9,17 +9,19 @@ from numpy.typing import NDArray
 
 from perception.boundary import BoundaryCloud
 from perception.geometry import Floats, require_shape
-from perception.runtime.files import replace_atomically
+from perception.runtime.records import RecordError, RecordFormat
 from perception.segmentation.surface import Surface
 
-SCENE_VERSION = 1  # raise it when a field changes its meaning
 SCENES_NOTE = "scenes.json"  # what all scenes of a folder depend on, beside them
 SURFACE_UNIT = 2e-5  # of the surface's depth in the file [m]
 FARTHEST = 65535 * SURFACE_UNIT  # that it can hold there [m]
 
 
-class SceneError(ValueError):
+class SceneError(RecordError):
     """A file does not hold a whole scene of this version."""
+
+
+FORMAT = RecordFormat(kind="scene", version=1, remedy="generate_scenes makes scenes", error=SceneError)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,7 +74,6 @@ class BoundaryScene:
         if s.depth.max(initial=0.0) > FARTHEST:
             raise ValueError(f"a scene file holds depths up to {FARTHEST:.2f} m, the surface has {s.depth.max():.2f} m")
         arrays: dict[str, Any] = {
-            "version": np.int64(SCENE_VERSION),
             "part": np.str_(self.part),
             "d_max": np.float64(self.d_max),
             "pixels": b.pixels.astype(np.int16),
@@ -87,12 +88,7 @@ class BoundaryScene:
             "centres_cam": self.centres_cam,
             "visible_fractions": self.visible_fractions,
         }
-
-        def write(draft: Path) -> None:
-            with draft.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **arrays)
-
-        replace_atomically(path, write)
+        FORMAT.save_arrays(path, arrays)
 
     @classmethod
     def load(cls, path: Path) -> "BoundaryScene":
@@ -101,37 +97,32 @@ class BoundaryScene:
         Raises:
             SceneError: The file is missing, cut off or of another version.
         """
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                a = {name: stored[name] for name in stored.files}
-            if int(a["version"]) != SCENE_VERSION:
-                raise SceneError(f"{path} is a scene of version {a['version']}, this code reads {SCENE_VERSION}")
-            tangents = a["tangents"] / 127.0
-            lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
-            u0, v0, cell = a["surface_frame"].tolist()
-            surface = Surface(depth=a["surface"] * np.float32(SURFACE_UNIT), u0=u0, v0=v0, cell=cell)
-            K, depth, pixels = a["K"], a["depth"].astype(np.float64), a["pixels"].astype(np.int64)
-            rays = np.column_stack([(pixels - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones(len(pixels))])
-            return cls(
-                part=str(a["part"]),
-                d_max=float(a["d_max"]),
-                boundary=BoundaryCloud(
-                    points_cam=rays * depth[:, None],
-                    tangents_cam=np.divide(tangents, lengths, out=np.zeros_like(tangents), where=lengths > 0),
-                    linearity=a["linearity"] / 255.0,
-                    pixels=pixels,
-                ),
-                surface=surface,
-                K=K,
-                instance_ids=a["instance_ids"].astype(np.int64),
-                T_cam_parts=a["T_cam_parts"],
-                centres_cam=a["centres_cam"],
-                visible_fractions=a["visible_fractions"],
-            )
-        except SceneError:
-            raise
-        except Exception as error:  # from zipfile, zlib and NumPy's header parser a flipped bit draws nearly anything
-            raise SceneError(f"{path} holds no whole scene ({error})") from error
+        return FORMAT.load_arrays(path, cls._from_arrays)
+
+    @classmethod
+    def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "BoundaryScene":
+        tangents = arrays["tangents"] / 127.0
+        lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
+        u0, v0, cell = arrays["surface_frame"].tolist()
+        surface = Surface(depth=arrays["surface"] * np.float32(SURFACE_UNIT), u0=u0, v0=v0, cell=cell)
+        K, depth, pixels = arrays["K"], arrays["depth"].astype(np.float64), arrays["pixels"].astype(np.int64)
+        rays = np.column_stack([(pixels - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones(len(pixels))])
+        return cls(
+            part=str(arrays["part"]),
+            d_max=float(arrays["d_max"]),
+            boundary=BoundaryCloud(
+                points_cam=rays * depth[:, None],
+                tangents_cam=np.divide(tangents, lengths, out=np.zeros_like(tangents), where=lengths > 0),
+                linearity=arrays["linearity"] / 255.0,
+                pixels=pixels,
+            ),
+            surface=surface,
+            K=K,
+            instance_ids=arrays["instance_ids"].astype(np.int64),
+            T_cam_parts=arrays["T_cam_parts"],
+            centres_cam=arrays["centres_cam"],
+            visible_fractions=arrays["visible_fractions"],
+        )
 
     def only(self, mask: NDArray[np.bool_]) -> "BoundaryScene":
         """Return the scene with the boundary points of (N,) ``mask`` alone."""

@@ -1,24 +1,21 @@
 """Trained networks on disk: safetensors files that also hold what made them, with a JSON of it beside for people."""
 
-import json
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file
+from torch import Tensor
 
 from perception.runtime.cache import cache_folder
-from perception.runtime.files import json_text, replace_atomically, write_atomically
-from perception.runtime.tensor_files import save_tensors
+from perception.runtime.files import replace_atomically, write_atomically
+from perception.runtime.records import RecordError, RecordFormat
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
 
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
 SHARED = "shared"  # the network for every part of the catalogue
-WEIGHTS_VERSION = 1
 Network = GridNet | Sgpn
 _KINDS: dict[str, tuple[type[GridNetConfig] | type[SgpnConfig], type[GridNet] | type[Sgpn]]] = {
     "grid": (GridNetConfig, GridNet),
@@ -26,8 +23,13 @@ _KINDS: dict[str, tuple[type[GridNetConfig] | type[SgpnConfig], type[GridNet] | 
 }
 
 
-class WeightsError(ValueError):
+class WeightsError(RecordError):
     """There are no weights for a part, or a file does not hold a whole network of this version."""
+
+
+FORMAT = RecordFormat(
+    kind="segmentation network", version=1, remedy="train_segmentation makes networks", error=WeightsError
+)
 
 
 def build_network(config: GridNetConfig | SgpnConfig) -> Network:
@@ -45,12 +47,10 @@ def save_network(path: Path, network: Network, record: dict[str, Any], *, half: 
         half: Store what was learned in 16 bits, half the file; it is float32 again when loaded.
     """
     kind = "grid" if isinstance(network, GridNet) else "sgpn"
-    facts = {"version": WEIGHTS_VERSION, "kind": kind, "network": asdict(network.config)}
-    text = json_text({**facts, **record})
     tensors = dict(network.state_dict())
     if half:
         tensors |= {name: parameter.detach().half() for name, parameter in network.named_parameters()}
-    save_tensors(path, tensors, {"record": text})
+    text = FORMAT.save_tensors(path, tensors, {"kind": kind, "network": asdict(network.config), **record})
     write_atomically(path.with_suffix(".json"), text)
 
 
@@ -60,15 +60,7 @@ def load_record(path: Path) -> dict[str, Any]:
     Raises:
         WeightsError: The file is missing, damaged, of another version, or not one of :func:`save_network`.
     """
-    try:
-        with safe_open(path, framework="pt") as file:
-            record: dict[str, Any] = json.loads(file.metadata()["record"])
-        version = record["version"]
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise WeightsError(f"{path} holds no network of this project ({error})") from error
-    if version != WEIGHTS_VERSION:
-        raise WeightsError(f"{path} is of version {version}, this code reads {WEIGHTS_VERSION}")
-    return record
+    return FORMAT.load_header(path)
 
 
 def load_network(path: Path) -> Network:
@@ -77,14 +69,16 @@ def load_network(path: Path) -> Network:
     Raises:
         WeightsError: The file is missing or damaged, or its weights do not fit the network that it describes.
     """
-    record = load_record(path)
-    try:
-        config_type, network_type = _KINDS[record["kind"]]
-        values = {name: tuple(v) if isinstance(v, list) else v for name, v in record["network"].items()}
-        network: Network = network_type(config_type(**values))  # type: ignore[arg-type]
-        network.load_state_dict(load_file(path))
-    except (OSError, KeyError, TypeError, ValueError, RuntimeError, SafetensorError) as error:
-        raise WeightsError(f"{path} does not hold the network that it describes ({error})") from error
+    return FORMAT.load_tensors(path, _network_of)
+
+
+def _network_of(record: dict[str, Any], tensors: dict[str, Tensor]) -> Network:
+    if record["kind"] not in _KINDS:
+        raise ValueError(f"its network must be one of {', '.join(_KINDS)}, got {record['kind']!r}")
+    config_type, network_type = _KINDS[record["kind"]]
+    values = {name: tuple(v) if isinstance(v, list) else v for name, v in record["network"].items()}
+    network: Network = network_type(config_type(**values))  # type: ignore[arg-type]
+    network.load_state_dict(tensors)
     return network.eval()
 
 

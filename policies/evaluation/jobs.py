@@ -12,6 +12,7 @@ from pathlib import Path
 
 from binpick_env.jobs.process_map import WorkerError, map_indices
 from perception.runtime.files import json_text, write_atomically
+from perception.runtime.records import RecordError
 from perception.runtime.threads import one_core
 from policies.evaluation.bin_evaluation import (
     BinError,
@@ -23,7 +24,7 @@ from policies.evaluation.bin_evaluation import (
     evaluate_bin,
     scripted_cell,
 )
-from policies.evaluation.records import BinRecord, RecordError, load_record, record_path, save_record
+from policies.evaluation.records import BinRecord, load_record, record_path, save_record
 from policies.grasping.outcomes import PickResult
 
 _log = logging.getLogger(__name__)

@@ -1,6 +1,5 @@
 """What is kept of every bin: plain numbers and words, written as JSON, one file a bin."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -9,17 +8,13 @@ from typing import Any
 import numpy as np
 
 from binpick_env.scenes.clutter import ClutterStats
-from perception.runtime.files import json_text, write_atomically
+from perception.runtime.records import RecordError, RecordFormat
 from policies.evaluation.failure_attribution import Blame, blame
 from policies.evaluation.frame_record import CandidateRecord, FrameRecord
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.episode import BinResult, Termination
 
-RECORD_VERSION = 3  # raise it when a field changes its meaning: older records are then computed anew
-
-
-class RecordError(ValueError):
-    """A file does not hold a whole record of the configuration that was asked for."""
+FORMAT = RecordFormat(kind="bin record", version=3, remedy="pick makes it again")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,8 +169,7 @@ def record_path(folder: Path, index: int) -> Path:
 def save_record(record: BinRecord, folder: Path) -> Path:
     """Write ``record`` in one piece, or not at all."""
     path = record_path(folder, record.index)
-    values = json.loads(json_text({"version": RECORD_VERSION, **asdict(record)}))
-    write_atomically(path, json.dumps(values, separators=(",", ":")))  # a line for every number would be half spaces
+    FORMAT.save_plain(path, asdict(record), indent=None)  # a line for every number would be half spaces
     return path
 
 
@@ -185,21 +179,20 @@ def load_record(path: Path) -> BinRecord:
     Raises:
         RecordError: The file is cut off, damaged or of another version.
     """
-    try:
-        values = json.loads(path.read_text())
-        version = values.pop("version")
-        if version != RECORD_VERSION:
-            raise RecordError(f"{path} is of version {version}, this code reads {RECORD_VERSION}")
-        values["termination"] = Termination(values["termination"])
-        clutter: dict[str, Any] = {
-            name: np.nan if value is None else value for name, value in values["clutter"].items()
+    return FORMAT.load_plain(path, _bin)
+
+
+def _bin(values: dict[str, Any]) -> BinRecord:
+    clutter: dict[str, Any] = {name: np.nan if value is None else value for name, value in values["clutter"].items()}
+    return BinRecord(
+        **{
+            **values,
+            "termination": Termination(values["termination"]),
+            "clutter": ClutterStats(**clutter),
+            "picks": tuple(_pick(pick) for pick in values["picks"]),
+            "frames": tuple(FrameRecord.from_plain(frame) for frame in values["frames"]),
         }
-        values["clutter"] = ClutterStats(**clutter)
-        values["picks"] = tuple(_pick(pick) for pick in values["picks"])
-        values["frames"] = tuple(FrameRecord.from_plain(frame) for frame in values["frames"])
-        return BinRecord(**values)
-    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise RecordError(f"{path} holds no whole record ({error})") from error
+    )
 
 
 def _pick(values: dict[str, Any]) -> PickRecord:

@@ -15,7 +15,7 @@ from binpick_env.config import CellConfig
 from binpick_env.evaluation.pose.method import PoseMethod, PoseMethodConfig, pose_method
 from binpick_env.evaluation.pose.record import EVIDENCE, STAGES, TRIALS, VERDICT, PoseRecord
 from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, require_unseen
-from binpick_env.evaluation.segmentation.record import RecordError, record_path
+from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.scenes.synthesis import CapturedScene, SceneConfig, make_scene, scene_settings
@@ -28,6 +28,7 @@ from perception.pose.candidates import nearest_groups
 from perception.pose.estimator import PoseEstimate
 from perception.pose.selection.explanation import explain_segments
 from perception.runtime.provenance import git_commit
+from perception.runtime.records import RecordError
 from perception.runtime.threads import use_threads
 from perception.segmentation.surface import coarse_surface
 

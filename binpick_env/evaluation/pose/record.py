@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.evaluation.segmentation.record import STAGES as SEGMENTATION_STAGES
-from binpick_env.evaluation.segmentation.record import RecordError, SceneRecord
+from binpick_env.evaluation.segmentation.record import SceneRecord
 from perception.geometry import Floats, require_shape
-from perception.runtime.files import replace_atomically
+from perception.runtime.records import RecordFormat
 
-RECORD_VERSION = 2  # raise it when a field changes its meaning: older records are then computed anew
+FORMAT = RecordFormat(kind="pose record", version=2, remedy="evaluate_pose makes it again")
 STAGES = ("boundary", "surface", "segmentation", "pose", "trials", "explanation", "total")
 VERDICT = ("edge_score", "explained", "support", "violation", "measured")
 EVIDENCE = (*VERDICT, "margin", "firmness", "size")  # of each pose
@@ -138,19 +138,13 @@ class PoseRecord:
         arrays: dict[str, Any] = {name: getattr(self, name) for name in _KEPT}
         arrays |= {name: arrays[name].astype(kind) for name, kind in _INTS.items()}
         arrays |= {
-            "version": np.int64(RECORD_VERSION),
             "corner": np.array(self.corner, np.int64),
             "ms": np.array([self.ms[name] for name in STAGES]),
             "whole_scene": np.bool_(self.whole_scene),
             "threads": np.int64(self.threads),
             "git_commit": np.str_(self.git_commit),
         }
-
-        def write(draft: Path) -> None:
-            with draft.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **arrays)
-
-        replace_atomically(path, write)
+        FORMAT.save_arrays(path, arrays)
 
     @classmethod
     def load(cls, path: Path) -> "PoseRecord":
@@ -159,21 +153,16 @@ class PoseRecord:
         Raises:
             RecordError: The file is missing, cut off or of another version.
         """
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                a = {name: stored[name] for name in stored.files}
-            if int(a["version"]) != RECORD_VERSION:
-                raise RecordError(f"{path} is of version {a['version']}, this code reads {RECORD_VERSION}")
-            kept: dict[str, Any] = {name: a[name] for name in _KEPT}
-            return cls(
-                **(kept | {name: kept[name].astype(np.int64) for name in _INTS}),
-                corner=(int(a["corner"][0]), int(a["corner"][1])),
-                ms=dict(zip(STAGES, a["ms"].tolist(), strict=True)),
-                whole_scene=bool(a["whole_scene"]),
-                threads=int(a["threads"]),
-                git_commit=str(a["git_commit"]),
-            )
-        except RecordError:
-            raise
-        except Exception as error:  # from zipfile, zlib and NumPy's header parser a flipped bit draws nearly anything
-            raise RecordError(f"{path} holds no whole record ({error})") from error
+        return FORMAT.load_arrays(path, cls._from_arrays)
+
+    @classmethod
+    def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "PoseRecord":
+        kept: dict[str, Any] = {name: arrays[name] for name in _KEPT}
+        return cls(
+            **(kept | {name: kept[name].astype(np.int64) for name in _INTS}),
+            corner=(int(arrays["corner"][0]), int(arrays["corner"][1])),
+            ms=dict(zip(STAGES, arrays["ms"].tolist(), strict=True)),
+            whole_scene=bool(arrays["whole_scene"]),
+            threads=int(arrays["threads"]),
+            git_commit=str(arrays["git_commit"]),
+        )

@@ -13,7 +13,7 @@ import numpy as np
 
 from binpick_env.config import CellConfig
 from binpick_env.evaluation.segmentation.method import MethodConfig, Segmenter, segmenter
-from binpick_env.evaluation.segmentation.record import STAGES, RecordError, SceneRecord, record_path
+from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord, record_path
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.parts import load_part
@@ -23,6 +23,7 @@ from perception.boundary import extract_boundary
 from perception.frame import Frame
 from perception.instance import Instance, labels_of
 from perception.runtime.provenance import git_commit
+from perception.runtime.records import RecordError
 from perception.runtime.threads import use_threads
 from perception.segmentation.surface import coarse_surface
 from perception.segmentation.weights import load_record

@@ -11,15 +11,11 @@ from binpick_env.scenes.clutter import ClutterStats
 from perception.geometry import Floats, require_shape
 from perception.instance import Instance, instances_of
 from perception.metrics.matching import SceneMatches, SceneTruth, match_scene
-from perception.runtime.files import replace_atomically
+from perception.runtime.records import RecordFormat
 from perception.segmentation.scoring import COUNTED_FROM, truth_of
 
-RECORD_VERSION = 1  # raise it when a field changes its meaning: older records are then computed anew
+FORMAT = RecordFormat(kind="segmentation record", version=1, remedy="evaluate_segmentation makes it again")
 STAGES = ("boundary", "surface", "segmentation", "total")
-
-
-class RecordError(ValueError):
-    """A file does not hold a whole record of this version."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,7 +79,6 @@ class SceneRecord:
     def save(self, path: Path) -> None:
         """Write a compressed file in one piece, or not at all."""
         arrays: dict[str, Any] = {
-            "version": np.int64(RECORD_VERSION),
             "labels": self.labels.astype(np.int32),
             "scores": self.scores,
             "instance_ids": self.instance_ids.astype(np.int16),
@@ -96,12 +91,7 @@ class SceneRecord:
             "threads": np.int64(self.threads),
             "git_commit": np.str_(self.git_commit),
         }
-
-        def write(draft: Path) -> None:
-            with draft.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **arrays)
-
-        replace_atomically(path, write)
+        FORMAT.save_arrays(path, arrays)
 
     @classmethod
     def load(cls, path: Path) -> "SceneRecord":
@@ -110,29 +100,24 @@ class SceneRecord:
         Raises:
             RecordError: The file is missing, cut off or of another version.
         """
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                a = {name: stored[name] for name in stored.files}
-            if int(a["version"]) != RECORD_VERSION:
-                raise RecordError(f"{path} is of version {a['version']}, this code reads {RECORD_VERSION}")
-            return cls(
-                labels=a["labels"].astype(np.int64),
-                scores=a["scores"],
-                instance_ids=a["instance_ids"].astype(np.int64),
-                visible_fractions=a["visible_fractions"],
-                pixels=a["pixels"].astype(np.int64),
-                picture=a["picture"],
-                corner=(int(a["corner"][0]), int(a["corner"][1])),
-                wrong_side=int(a["contour"][0]),
-                contour=int(a["contour"][1]),
-                ms=dict(zip(STAGES, a["ms"].tolist(), strict=True)),
-                threads=int(a["threads"]),
-                git_commit=str(a["git_commit"]),
-            )
-        except RecordError:
-            raise
-        except Exception as error:  # from zipfile, zlib and NumPy's header parser a flipped bit draws nearly anything
-            raise RecordError(f"{path} holds no whole record ({error})") from error
+        return FORMAT.load_arrays(path, cls._from_arrays)
+
+    @classmethod
+    def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "SceneRecord":
+        return cls(
+            labels=arrays["labels"].astype(np.int64),
+            scores=arrays["scores"],
+            instance_ids=arrays["instance_ids"].astype(np.int64),
+            visible_fractions=arrays["visible_fractions"],
+            pixels=arrays["pixels"].astype(np.int64),
+            picture=arrays["picture"],
+            corner=(int(arrays["corner"][0]), int(arrays["corner"][1])),
+            wrong_side=int(arrays["contour"][0]),
+            contour=int(arrays["contour"][1]),
+            ms=dict(zip(STAGES, arrays["ms"].tolist(), strict=True)),
+            threads=int(arrays["threads"]),
+            git_commit=str(arrays["git_commit"]),
+        )
 
 
 def record_path(folder: Path, index: int) -> Path:

@@ -13,7 +13,7 @@ from perception.runtime.files import write_atomically
 from perception.s3dis.data.categories import CATEGORIES
 from perception.s3dis.data.raw_tree import RawRoom
 from perception.s3dis.data.record import recorded
-from perception.s3dis.data.room import ROOM_VERSION, ROOMS_NOTE, Room, RoomError, room_path
+from perception.s3dis.data.room import FORMAT, ROOMS_NOTE, Room, RoomError, room_path
 
 _log = logging.getLogger(__name__)
 
@@ -105,7 +105,7 @@ def _whole(path: Path, source: str) -> Room | None:
 
 def _note(rooms: Sequence[RawRoom], done: Sequence[PreparedRoom]) -> dict[str, Any]:
     return {
-        "version": ROOM_VERSION,
+        "version": FORMAT.version,
         "raw": str(rooms[0].root.resolve()) if rooms else "",
         "categories": CATEGORIES,
         "rooms": {p.name: {"points": p.points, "objects": p.objects} for p in done},

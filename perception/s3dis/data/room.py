@@ -10,16 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.geometry import Floats, require_shape
-from perception.runtime.files import replace_atomically
+from perception.runtime.records import RecordError, RecordFormat
 from perception.s3dis.data.categories import CATEGORIES
 
-ROOM_VERSION = 1  # raise it when a field changes its meaning
 ROOMS_NOTE = "rooms.json"  # where the rooms of a folder come from, beside them
 _NAME = re.compile(r"Area_(\d+)/[^/]+")
 
 
-class RoomError(ValueError):
+class RoomError(RecordError):
     """A file does not hold a whole room of this version."""
+
+
+FORMAT = RecordFormat(kind="room", version=1, remedy="s3dis prepare makes rooms", error=RoomError)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,7 +82,6 @@ class Room:
     def save(self, path: Path) -> None:
         """Write a file in one piece, or not at all: 20 bytes a point, not compressed."""
         arrays: dict[str, Any] = {
-            "version": np.int64(ROOM_VERSION),
             "name": np.str_(self.name),
             "source": np.str_(self.source),
             "remarks": np.array(self.remarks, np.str_),
@@ -89,12 +90,7 @@ class Room:
             "semantic": self.semantic,
             "instance": self.instance,
         }
-
-        def write(draft: Path) -> None:
-            with draft.open("wb") as file:
-                np.savez(file, allow_pickle=False, **arrays)
-
-        replace_atomically(path, write)
+        FORMAT.save_arrays(path, arrays, compressed=False)
 
     @classmethod
     def load(cls, path: Path) -> "Room":
@@ -103,24 +99,19 @@ class Room:
         Raises:
             RoomError: The file is missing, cut off or of another version.
         """
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                a = {name: stored[name] for name in stored.files}
-            if int(a["version"]) != ROOM_VERSION:
-                raise RoomError(f"{path} is a room of version {a['version']}, this code reads {ROOM_VERSION}")
-            return cls(
-                name=str(a["name"]),
-                xyz=a["xyz"],
-                rgb=a["rgb"],
-                semantic=a["semantic"],
-                instance=a["instance"],
-                source=str(a["source"]),
-                remarks=tuple(a["remarks"].tolist()),
-            )
-        except RoomError:
-            raise
-        except Exception as error:  # from zipfile and NumPy's header parser a flipped bit draws nearly anything
-            raise RoomError(f"{path} holds no whole room ({error})") from error
+        return FORMAT.load_arrays(path, cls._from_arrays)
+
+    @classmethod
+    def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "Room":
+        return cls(
+            name=str(arrays["name"]),
+            xyz=arrays["xyz"],
+            rgb=arrays["rgb"],
+            semantic=arrays["semantic"],
+            instance=arrays["instance"],
+            source=str(arrays["source"]),
+            remarks=tuple(arrays["remarks"].tolist()),
+        )
 
 
 def area_of(name: str) -> int:

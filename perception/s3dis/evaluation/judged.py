@@ -1,6 +1,5 @@
 """What is kept of a training of a row: the verdicts on every test room."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from perception.metrics.matching import SceneMatches
-from perception.runtime.files import json_text, write_atomically
+from perception.runtime.records import RecordFormat
 from perception.s3dis.choices import RowName
+
+FORMAT = RecordFormat(kind="judged row", version=1, remedy="s3dis_table makes it again")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,17 +33,19 @@ class JudgedRow:
 def save_judged(path: Path, judged: JudgedRow) -> None:
     """Write the verdicts as JSON, in one piece."""
     rooms = [{"name": name, **_plain(m)} for name, m in zip(judged.names, judged.matches, strict=True)]
-    write_atomically(path, json_text({"row": judged.row, "seed": judged.seed, "rooms": rooms}))
+    FORMAT.save_plain(path, {"row": judged.row, "seed": judged.seed, "rooms": rooms})
 
 
 def load_judged(path: Path) -> JudgedRow:
     """Read the verdicts, to the bit.
 
     Raises:
-        OSError: There is no such file.
-        ValueError, KeyError, TypeError: It is damaged.
+        RecordError: The file is missing or damaged.
     """
-    plain = json.loads(path.read_text())
+    return FORMAT.load_plain(path, _judged)
+
+
+def _judged(plain: dict[str, Any]) -> JudgedRow:
     return JudgedRow(
         row=plain["row"],
         seed=int(plain["seed"]),

@@ -11,6 +11,7 @@ import numpy as np
 
 from perception.metrics.average_precision import percentile_interval, weighted_ap
 from perception.metrics.matching import SceneMatches
+from perception.runtime.records import RecordError
 from perception.s3dis.choices import BudgetName, RowName
 from perception.s3dis.data.categories import CLUTTER, SCORED, TEST_AREA
 from perception.s3dis.data.room import find_rooms
@@ -157,7 +158,7 @@ def _train_and_judge(config: TableConfig, out: Path, index: int) -> JudgedRow:
     """Do one training of the table, seed by seed."""
     row, seed = ROWS[index % len(ROWS)], index // len(ROWS)
     folder = out / f"{row}-{seed}"
-    with suppress(OSError, ValueError, KeyError, TypeError):  # what is damaged is made again
+    with suppress(RecordError):  # what is damaged is made again
         return load_judged(folder / SCORES)
     train_row(config.training(row, seed, folder))
     predict = RoomPredictor.from_file(folder / WEIGHTS)

@@ -6,19 +6,21 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from perception.runtime.files import json_text
-from perception.runtime.tensor_files import save_tensors
+from perception.runtime.records import RecordError, RecordFormat
 from perception.segmentation.networks.precision import bfloat16_is_fast
 from perception.segmentation.training.loop import Trainer
 
-CHECKPOINT_VERSION = 1  # raise it when the state changes its meaning
 
-
-class CheckpointError(ValueError):
+class CheckpointError(RecordError):
     """A file does not hold a whole checkpoint of this training."""
+
+
+FORMAT = RecordFormat(
+    kind="checkpoint", version=1, remedy="choose another --out, or delete the file", error=CheckpointError
+)
 
 
 def save_checkpoint(path: Path, trainer: Trainer) -> None:
@@ -29,7 +31,7 @@ def save_checkpoint(path: Path, trainer: Trainer) -> None:
     for index, values in trainer.optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer/{index}/{name}": torch.as_tensor(value) for name, value in values.items()}
     state = {"step": trainer.step, "elapsed": trainer.elapsed}
-    save_tensors(path, tensors, {"training": json_text({**_identity(trainer), **state})})
+    FORMAT.save_tensors(path, tensors, {**_identity(trainer), **state})
 
 
 def load_checkpoint(path: Path, trainer: Trainer) -> None:
@@ -38,13 +40,7 @@ def load_checkpoint(path: Path, trainer: Trainer) -> None:
     Raises:
         CheckpointError: The file is damaged, or of a training with other settings or scenes; the text names them.
     """
-    try:
-        with safe_open(path, framework="pt") as file:
-            facts = json.loads(file.metadata()["training"])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
-        step, elapsed = int(facts["step"]), float(facts["elapsed"])
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} holds no whole checkpoint ({error})") from error
+    facts, tensors = FORMAT.load_tensors(path, _whole)
     mine = _identity(trainer)
     different = [
         f"{name}: {facts.get(name)} there, {mine[name]} here" for name in mine if facts.get(name) != mine[name]
@@ -59,13 +55,17 @@ def load_checkpoint(path: Path, trainer: Trainer) -> None:
         trainer.optimizer.load_state_dict({**trainer.optimizer.state_dict(), "state": _optimizer_state(tensors)})
     except (RuntimeError, KeyError, ValueError) as error:
         raise CheckpointError(f"{path} does not fit the network of its own settings ({error})") from error
-    trainer.step, trainer.elapsed = step, elapsed
+    trainer.step, trainer.elapsed = facts["step"], facts["elapsed"]
+
+
+def _whole(facts: dict[str, Any], tensors: dict[str, Tensor]) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    return {**facts, "step": int(facts["step"]), "elapsed": float(facts["elapsed"])}, tensors
 
 
 def _identity(trainer: Trainer) -> dict[str, Any]:
     """Return what must be the same for a training to go on as if it had never stopped, as JSON holds it."""
     values = {
-        "version": CHECKPOINT_VERSION,
+        "version": FORMAT.version,
         **asdict(trainer.config),
         **asdict(trainer.length),
         "scenes": trainer.batches.digest(),

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from binpick_env.config import BinConfig, CameraConfig, CellConfig, Perception, SensorPreset
 from binpick_env.jobs.process_map import map_indices
-from perception.runtime.files import json_text, replace_atomically, write_atomically
+from perception.runtime.files import json_text, write_atomically
+from perception.runtime.records import RecordFormat
 from policies.grasping.outcomes import PickResult
 from policies.selection.candidate_generator import Observation
 from policies.selection.env import GraspSelectionEnv
 from policies.selection.selectors import load_selector
 
 CONFIG = "experience.json"
+FORMAT = RecordFormat(kind="bin of attempts", version=1, remedy="delete it, and train_selector bandit makes it again")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,13 +101,14 @@ class Attempts:
         """Read the files of bins and join them in their order.
 
         Raises:
+            RecordError: A file is damaged.
             ValueError: The files hold no attempt.
         """
         columns: dict[str, list[NDArray[Any]]] = {name: [] for name in cls.__dataclass_fields__}
         for path in paths:
-            with np.load(path, allow_pickle=False) as file:
-                for name, column in columns.items():
-                    column.append(file[name])
+            stored = FORMAT.load_arrays(path, lambda arrays: {name: arrays[name] for name in columns})
+            for name, column in columns.items():
+                column.append(stored[name])
         if not sum(len(column) for column in columns["chosen"]):
             raise ValueError(f"{len(paths)} bins hold no attempt")
         return cls(**{name: np.concatenate(column) for name, column in columns.items()})
@@ -214,9 +217,4 @@ def _save(path: Path, rows: list[dict[str, Any]], env: GraspSelectionEnv) -> Non
         "bins": np.array([row["bins"] for row in rows], np.int64),
         "states": np.array([row["states"] for row in rows], np.int64),
     }
-
-    def write(draft: Path) -> None:
-        with draft.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **columns)
-
-    replace_atomically(path, write)
+    FORMAT.save_arrays(path, columns)

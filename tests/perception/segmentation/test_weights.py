@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors import SafetensorError
+from safetensors.torch import save_file
 
-from perception.runtime.tensor_files import save_tensors
 from perception.segmentation import weights as module
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
 from perception.segmentation.weights import (
+    FORMAT,
     SHARED,
     SHIPPED,
     WeightsError,
@@ -62,23 +63,26 @@ def test_half_the_bits_are_nearly_the_same_network(tmp_path: Path) -> None:
 
 def test_what_is_not_whole_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "tee.safetensors"
-    with pytest.raises(WeightsError, match=r"tee\.safetensors holds no network of this project"):
+    with pytest.raises(WeightsError, match=r"tee\.safetensors holds no whole segmentation network"):
         load_network(path)
     save_network(path, NETWORKS[0], {})
     path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(WeightsError, match="holds no network of this project"):
+    with pytest.raises(WeightsError, match="holds no whole segmentation network"):
         load_network(path)
     record = json.loads(path.with_suffix(".json").read_text())
     for change, text in (
-        ({"network": record["network"] | {"hidden": 10}}, "does not hold the network that it describes"),
-        ({"kind": "oracle"}, "does not hold the network that it describes"),
-        ({"version": 99}, "is of version 99, this code reads 1"),
+        (
+            {"network": record["network"] | {"hidden": 10}},
+            r"no whole segmentation network \(Error\(s\) in loading",
+        ),
+        ({"kind": "oracle"}, "its network must be one of grid, sgpn, got 'oracle'"),
+        ({"version": 99}, "is a segmentation network of version 99, this code reads 1"),
     ):
-        save_tensors(path, NETWORKS[0].state_dict(), {"record": json.dumps(record | change)})
+        FORMAT.save_tensors(path, NETWORKS[0].state_dict(), record | change)
         with pytest.raises(WeightsError, match=text):
             load_network(path)
-    save_tensors(path, NETWORKS[0].state_dict(), {})
-    with pytest.raises(WeightsError, match="holds no network of this project"):
+    save_file(NETWORKS[0].state_dict(), path)
+    with pytest.raises(WeightsError, match=r"holds no whole segmentation network \(it has no header\)"):
         load_network(path)
 
 
@@ -89,7 +93,7 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path, monkey
     def full(*_: object, **__: object) -> None:
         raise SafetensorError("No space left on device")
 
-    monkeypatch.setattr("perception.runtime.tensor_files.save_file", full)
+    monkeypatch.setattr("safetensors.torch.save_file", full)
     with pytest.raises(OSError, match=r"tee\.safetensors cannot be written \(No space left on device\)"):
         save_network(path, NETWORKS[0], {"steps": 2})
     assert load_record(path)["steps"] == 1

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from binpick_env.config import CameraConfig
+from perception.runtime.records import RecordError
 from policies.evaluation.bin_evaluation import (
     BinError,
     Cell,
@@ -18,7 +19,7 @@ from policies.evaluation.bin_evaluation import (
     scripted_cell,
 )
 from policies.evaluation.jobs import FolderError, Job, run_job
-from policies.evaluation.records import BinRecord, RecordError, load_record, record_path, save_record
+from policies.evaluation.records import BinRecord, load_record, record_path, save_record
 from policies.evaluation.tables import found_note
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from tests.policies.fake_cell import FakeEnv, ScriptPicker, abstain, attempt, broken_cell, dice_cell
@@ -243,7 +244,7 @@ def test_a_record_with_an_unknown_word_is_refused(tmp_path: Path) -> None:
     values = json.loads(path.read_text())
     values["picks"][0]["outcome"] = "vanished"
     path.write_text(json.dumps(values))
-    with pytest.raises(RecordError, match=r"holds no whole record.*vanished"):
+    with pytest.raises(RecordError, match=r"holds no whole bin record.*vanished"):
         load_record(path)
 
 

@@ -99,16 +99,16 @@ def test_a_selector_survives_its_file(tmp_path: Path) -> None:
 
 def test_files_of_something_else_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.safetensors"
-    with pytest.raises(SelectorError, match="holds no selector of this project"):
+    with pytest.raises(SelectorError, match="holds no whole selector"):
         load_selector_net(path)
     save_selector(path, SelectorNet(), {"network": {"features": ["x", "colour"]}})
-    with pytest.raises(SelectorError, match="was trained on features that there are not \\(colour\\)"):
+    with pytest.raises(SelectorError, match="it was trained on features that there are not: colour"):
         load_selector_net(path)
     save_selector(path, SelectorNet(), {"network": {"features": list(FEATURES), "hidden": 3}})
-    with pytest.raises(SelectorError, match="does not hold the selector that it describes"):
+    with pytest.raises(SelectorError, match=r"holds no whole selector \(Error\(s\) in loading state_dict"):
         load_selector_net(path)
     save_selector(path, SelectorNet(), {"version": 7})
-    with pytest.raises(SelectorError, match="is of version 7, this code reads 1"):
+    with pytest.raises(SelectorError, match="is a selector of version 7, this code reads 1"):
         load_selector_net(path)
 
 

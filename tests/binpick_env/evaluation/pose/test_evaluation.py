@@ -19,7 +19,7 @@ from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluat
 from binpick_env.evaluation.pose.judgement import load_pose_scores
 from binpick_env.evaluation.pose.method import PoseMethodConfig
 from binpick_env.evaluation.pose.record import PoseRecord
-from binpick_env.evaluation.segmentation.record import RecordError, record_path
+from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.parts import load_part
 from binpick_env.scenes.synthesis import SceneConfig, make_scene
 from perception.boundary import BoundaryCloud
@@ -30,6 +30,7 @@ from perception.pose.estimator import PoseEstimate
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.model.surface_model import surface_model
 from perception.pose.verification.verification import Verdict
+from perception.runtime.records import RecordError
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.scene import BoundaryScene
@@ -219,7 +220,7 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path, tellers: list[Teller
         assert np.asarray(getattr(back, name)).dtype == np.asarray(value).dtype
     with np.load(tmp_path / "r.npz") as stored:
         np.savez(tmp_path / "new.npz", **{**stored, "version": 99})
-    with pytest.raises(RecordError, match=r"new\.npz is of version 99, this code reads 2"):
+    with pytest.raises(RecordError, match=r"new\.npz is a pose record of version 99, this code reads 2"):
         PoseRecord.load(tmp_path / "new.npz")
     for name in ("labels", "trials", "groups"):
         with pytest.raises(ValueError, match=f"{name} go up to 7, but there are 4 groups"):
@@ -239,7 +240,7 @@ def test_a_run_goes_on_and_damaged_records_are_made_again(
     kept = record_path(tmp_path, 0).stat().st_mtime_ns
     whole = record_path(tmp_path, 1).read_bytes()
     record_path(tmp_path, 1).write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(RecordError, match=r"scene_00001\.npz holds no whole record"):
+    with pytest.raises(RecordError, match=r"scene_00001\.npz holds no whole pose record"):
         load_pose_scores(tmp_path, 2, load_part("tee").model)
     with caplog.at_level(logging.WARNING):
         assert list(evaluate_poses(config(), 2, tmp_path)) == [0, 1]

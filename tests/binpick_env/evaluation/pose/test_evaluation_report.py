@@ -15,10 +15,11 @@ from binpick_env.evaluation.pose.record import PoseRecord
 from binpick_env.evaluation.pose.report import write_pose_report
 from binpick_env.evaluation.pose.summary import summarise_poses
 from binpick_env.evaluation.segmentation.pictures import scene_panels
-from binpick_env.evaluation.segmentation.record import RecordError, record_path
+from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.scenes.synthesis import SceneConfig, make_scene
 from perception.geometry import camera_matrix, project_points
 from perception.pose.model.appearances import EdgeAppearances, edge_appearances
+from perception.runtime.records import RecordError
 from tests.binpick_env.evaluation.pose.pose_records import bracket, estimates, moved, record
 
 CORNER = (40, 20)
@@ -129,5 +130,5 @@ def test_the_report_shows_the_worst_scenes_first(tmp_path: Path, edges: EdgeAppe
     assert text.count("<svg") == 2
     assert "nan" not in text.split("<h2>Scenes")[0]
     record_path(tmp_path, 1).unlink()
-    with pytest.raises(RecordError, match=r"scene_00001\.npz holds no whole record"):
+    with pytest.raises(RecordError, match=r"scene_00001\.npz holds no whole pose record"):
         write_pose_report(page, summary, scores, tmp_path, edges, 2)

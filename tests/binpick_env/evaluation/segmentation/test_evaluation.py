@@ -12,11 +12,12 @@ import torch
 from binpick_env.evaluation.segmentation import evaluation
 from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, evaluate_scene, evaluate_scenes
 from binpick_env.evaluation.segmentation.method import MethodConfig, Segmenter
-from binpick_env.evaluation.segmentation.record import STAGES, RecordError, SceneRecord, record_path
+from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord, record_path
 from binpick_env.evaluation.segmentation.summary import BANDS, load_scores
 from binpick_env.scenes.synthesis import make_scene
 from perception.boundary import BoundaryCloud
 from perception.instance import Instance, instances_of
+from perception.runtime.records import RecordError
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.surface import Surface
 from perception.segmentation.weights import WeightsError, save_network
@@ -114,7 +115,7 @@ def test_a_run_goes_on_and_damaged_records_are_made_again(
     kept = record_path(tmp_path, 0).stat().st_mtime_ns
     whole = record_path(tmp_path, 1).read_bytes()
     record_path(tmp_path, 1).write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(RecordError, match=r"scene_00001\.npz holds no whole record"):
+    with pytest.raises(RecordError, match=r"scene_00001\.npz holds no whole segmentation record"):
         load_scores(tmp_path, 2)
     with caplog.at_level(logging.WARNING):
         assert sorted(evaluate_scenes(config, 2, tmp_path)) == [0, 1]
@@ -154,7 +155,7 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path, config: EvaluationCo
     ]
     with np.load(tmp_path / "r.npz") as stored:
         np.savez(tmp_path / "new.npz", **{**stored, "version": 99})
-    with pytest.raises(RecordError, match=r"new\.npz is of version 99, this code reads 1"):
+    with pytest.raises(RecordError, match=r"new\.npz is a segmentation record of version 99, this code reads 1"):
         SceneRecord.load(tmp_path / "new.npz")
     with pytest.raises(ValueError, match=r"labels go up to 5, but there are 1 scores"):
         replace(record, labels=np.full_like(record.labels, 5), scores=np.ones(1))
@@ -186,7 +187,7 @@ def test_what_cannot_be_done_claims_no_folder(tmp_path: Path, config: Evaluation
         with pytest.raises(error, match=text):
             next(evaluate_scenes(wrong, 1, out))
     (tmp_path / "none.safetensors").write_bytes(b"nothing")
-    with pytest.raises(WeightsError, match=r"none\.safetensors holds no network"):
+    with pytest.raises(WeightsError, match=r"none\.safetensors holds no whole segmentation network"):
         next(evaluate_scenes(replace(config, method=lost), 1, out))
     with pytest.raises(ValueError, match="count and workers must be at least 1, got 0 and 1"):
         next(evaluate_scenes(config, 0, out))

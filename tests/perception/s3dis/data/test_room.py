@@ -49,8 +49,8 @@ def test_a_damaged_file_is_no_room(tmp_path: Path, at: float) -> None:
 
 def test_a_room_of_another_version_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ROOM.save(tmp_path / "room.npz")
-    monkeypatch.setattr(module, "ROOM_VERSION", 2)
-    with pytest.raises(RoomError, match="is a room of version 1, this code reads 2"):
+    monkeypatch.setattr(module, "FORMAT", replace(module.FORMAT, version=2))
+    with pytest.raises(RoomError, match="is a room of version 1, this code reads 2; s3dis prepare makes rooms"):
         Room.load(tmp_path / "room.npz")
 
 

@@ -7,16 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
 
 from perception.boundary import BoundaryCloud
 from perception.instance import Instance, instances_of
-from perception.runtime.tensor_files import save_tensors
 from perception.segmentation.networks.grid_net import GridNetConfig
 from perception.segmentation.networks.sgpn import SgpnConfig
 from perception.segmentation.surface import Surface
 from perception.segmentation.training import run as run_module
-from perception.segmentation.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from perception.segmentation.training.checkpoint import FORMAT, CheckpointError, load_checkpoint, save_checkpoint
 from perception.segmentation.training.dataset import Batch, BatchMaker, PackedScene
 from perception.segmentation.training.loop import SKIPS, Length, StepRecord, Trainer, TrainingError, learning_rate
 from perception.segmentation.training.presets import PRESETS, TrainingConfig
@@ -180,8 +178,7 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match=r"belongs to another training \(scenes: .* there, .* here\)"):
         load_checkpoint(path, Trainer(GRID, others, Length(steps=4)))
     whole = path.read_bytes()
-    with safe_open(path, framework="pt") as file:
-        save_tensors(path, {"network/nothing": torch.zeros(1)}, file.metadata())
+    FORMAT.save_tensors(path, {"network/nothing": torch.zeros(1)}, FORMAT.load_header(path))
     with pytest.raises(CheckpointError, match="does not fit the network of its own settings"):
         load_checkpoint(path, trainer(GRID))
     path.write_bytes(whole[:100])
