@@ -10,7 +10,8 @@ from perception.boundary import BoundaryCloud, extract_boundary
 from perception.frame import Frame, Workspace
 from perception.instance import Instance
 from perception.part import PartModel
-from perception.pose.estimator import PoseEstimate, PoseEstimator
+from perception.pose.estimator import PoseEstimator
+from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.explanation import explain_segments
 from perception.segmentation.surface import coarse_surface
 

@@ -19,7 +19,8 @@ from perception.geometry import transform_points
 from perception.instance import Instance, true_instances
 from perception.part import PartModel
 from perception.pipeline import Perception, Pipeline, perceive_by
-from perception.pose.estimator import PoseEstimate, PoseEstimator
+from perception.pose.estimator import PoseEstimator
+from perception.pose.pose_estimate import PoseEstimate
 from perception.runtime.threads import use_threads
 from perception.segmentation.grouping.similarity import GroupingConfig
 

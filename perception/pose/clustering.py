@@ -1,4 +1,4 @@
-"""Poses that say the same, modulo the part's symmetry, become one."""
+"""Clustering of poses modulo the part's symmetry."""
 
 from dataclasses import dataclass
 
@@ -11,10 +11,15 @@ from perception.part import PartModel, Symmetry
 
 @dataclass(frozen=True, kw_only=True)
 class ClusterConfig:
-    """How near poses of one cluster lie to its head."""
+    """Largest difference between a pose and the representative of its cluster.
 
-    translation: float = 0.10  # of the part's centre, as a share of d_max
-    rotation: float = float(np.deg2rad(15.0))  # modulo symmetry [rad]
+    Attributes:
+        translation: Largest distance between the part's centres, as a share of d_max.
+        rotation: Largest angle between the rotations modulo symmetry [rad].
+    """
+
+    translation: float = 0.10
+    rotation: float = float(np.deg2rad(15.0))
 
     def __post_init__(self) -> None:
         if not 0 < self.translation < np.inf:
@@ -26,20 +31,20 @@ class ClusterConfig:
 def cluster_poses(
     T_cam_part: Floats, scores: Floats, part: PartModel, config: ClusterConfig | None = None
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Group poses about their best ones; each cluster is given by its best member, nothing is averaged.
+    """Cluster poses; each cluster is represented by its best member, and nothing is averaged.
 
-    The best pose left is the head of the next cluster and takes every pose left that is near it: no pose of a cluster
-    is better than its head, and no two heads are near each other.
+    The best remaining pose represents the next cluster, which takes every remaining pose that is near it. So no pose
+    has a higher score than its representative, and no two representatives are near each other.
 
     Args:
-        T_cam_part: (K, 4, 4).
-        scores: (K,) 0 or more, larger is better: votes, or a verdict's score.
-        part: For its centre, diameter and symmetry.
-        config: :class:`ClusterConfig`'s defaults if left out.
+        T_cam_part: (K, 4, 4) poses of the part in the camera frame.
+        scores: (K,) scores of at least 0, such as votes; larger is better.
+        part: Part that the poses are of.
+        config: Size of a cluster; the defaults of :class:`ClusterConfig` if None.
 
     Returns:
-        The heads' indices (C,), and the (C,) sums of their clusters' scores, by which they are sorted, largest first.
-        Ties go to the lower index.
+        The (C,) indices of the representatives, and the (C,) sums of their clusters' scores, by which both are sorted,
+        largest first. Of equal sums the lower index comes first.
 
     Raises:
         ValueError: Shapes differ, a pose is not finite, or a score is negative or not finite.
@@ -52,23 +57,29 @@ def cluster_poses(
     if not (np.isfinite(scores).all() and np.all(scores >= 0)):
         raise ValueError("scores must be finite and 0 or more")
     centres = transform_point_each(T_cam_part, part.centre)
-    left = np.argsort(-scores, kind="stable")
-    heads, sums = [], []
-    while len(left):
-        head = left[0]
-        near = _near(head, left, centres, T_cam_part, part, config)
+    remaining = np.argsort(-scores, kind="stable")
+    representatives, sums = [], []
+    while len(remaining):
+        best = remaining[0]
+        near = _near(best, remaining, centres, T_cam_part, part, config)
         near[0] = True
-        heads.append(head)
-        sums.append(float(scores[left[near]].sum()))
-        left = left[~near]
-    order = np.lexsort((heads, -np.array(sums)))
-    return np.array(heads, np.int64)[order], np.array(sums, np.float64)[order]
+        representatives.append(best)
+        sums.append(float(scores[remaining[near]].sum()))
+        remaining = remaining[~near]
+    order = np.lexsort((representatives, -np.array(sums)))
+    return np.array(representatives, np.int64)[order], np.array(sums, np.float64)[order]
 
 
 def are_alike(
     T_cam_part: Floats, others: Floats, part: PartModel, config: ClusterConfig | None = None
 ) -> NDArray[np.bool_]:
-    """Return (K,) whether each of (K, 4, 4) poses would be in the cluster of a (4, 4) one.
+    """Return (K,) whether each pose would be in the cluster that another pose represents.
+
+    Args:
+        T_cam_part: (4, 4) pose of the part in the camera frame.
+        others: (K, 4, 4) poses to compare with it.
+        part: Part that the poses are of.
+        config: Size of a cluster; the defaults of :class:`ClusterConfig` if None.
 
     Raises:
         ValueError: A shape is wrong.
@@ -76,24 +87,25 @@ def are_alike(
     require_shape("T_cam_part", T_cam_part, (4, 4))
     require_shape("others", others, (None, 4, 4))
     poses = np.concatenate([T_cam_part[None], others])
-    places = np.arange(1, len(poses))
-    return _near(0, places, transform_point_each(poses, part.centre), poses, part, config or ClusterConfig())
+    indices = np.arange(1, len(poses))
+    return _near(0, indices, transform_point_each(poses, part.centre), poses, part, config or ClusterConfig())
 
 
 def _near(
-    head: int, others: NDArray[np.int64], centres: Floats, poses: Floats, part: PartModel, config: ClusterConfig
+    one: int, others: NDArray[np.int64], centres: Floats, poses: Floats, part: PartModel, config: ClusterConfig
 ) -> NDArray[np.bool_]:
-    """Return (O,) whether ``others`` are within the limits of ``head``; both are indices into ``poses``."""
-    near: NDArray[np.bool_] = np.linalg.norm(centres[others] - centres[head], axis=1) <= config.translation * part.d_max
+    """Return (O,) whether ``others`` are within the limits of ``one``; both are indices into ``poses``."""
+    near: NDArray[np.bool_] = np.linalg.norm(centres[others] - centres[one], axis=1) <= config.translation * part.d_max
     rotations = poses[others[near], :3, :3]
-    near[near] = rotations_within(poses[head, :3, :3], rotations, part.symmetry, config.rotation)
+    near[near] = rotations_within(poses[one, :3, :3], rotations, part.symmetry, config.rotation)
     return near
 
 
 def rotations_within(rotation: Floats, others: Floats, symmetry: Symmetry, limit: float) -> NDArray[np.bool_]:
     """Return (K,) whether each of (K, 3, 3) is within ``limit`` [rad] of a (3, 3) rotation modulo the symmetry.
 
-    As :meth:`perception.part.Symmetry.distance`, for many at once; by cosines, so not for limits near 0.
+    Equals a comparison of :meth:`perception.part.Symmetry.distance` with the limit, for many rotations at once. It
+    compares cosines, which are not precise enough for limits near 0.
     """
     images = rotation @ symmetry.rotations
     if symmetry.axis is None:

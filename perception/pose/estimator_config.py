@@ -1,11 +1,11 @@
-"""Every setting of the pose estimation, from edges to the score that a pose is verified with."""
+"""All settings of the pose estimation."""
 
 from dataclasses import dataclass, field
 
 from perception.pose.clustering import ClusterConfig
 from perception.pose.hypotheses.voting import VoteConfig
 from perception.pose.model.edge_models import EdgeModelConfig
-from perception.pose.model.near_symmetry import TwinConfig
+from perception.pose.model.near_symmetry import NearSymmetryConfig
 from perception.pose.model.pair_features import PairConfig
 from perception.pose.selection.bodies import BodyConfig
 from perception.pose.verification.confidence import ConfidenceConfig
@@ -15,29 +15,29 @@ from perception.pose.verification.verification import VerificationConfig
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatorConfig:
-    """How poses are found.
+    """Settings of a :class:`~perception.pose.estimator.PoseEstimator`.
 
     Attributes:
-        edges: What an edge is, and from how many views pairs are taken.
-        pairs: Features and table.
-        votes: Accumulator.
-        clusters: When two poses are one.
-        quick_step: Of the edge points of a view, every so many are used to look at a hypothesis ...
-        quick_spacing: ... and points of the surface that lie so far apart, as a share of d_max.
-        quick_edges: Refinement of every hypothesis, on edges ...
-        quick_surface: ... and on the surface.
-        edge_refinement: Of those that are left.
-        surface_refinement: Of those that are left.
-        verification: Tolerances, and the evidence that hypotheses are ranked by.
-        confidence: How sure the best one is.
-        bodies: What the poses of a scene cannot be at once, and where no part can be.
-        twins: Turns after which the part looks nearly the same.
-        hypotheses: Clusters of raw poses that are looked at for each group, those with most votes first ...
-        most_hypotheses: ... and up to this many while none has the score ``sure``.
-        sure: See ``most_hypotheses``.
-        finalists: Of these, best scores first, that are refined to the end.
-        scene_hypotheses: Clusters that are looked at where a whole scene is searched.
-        min_score: A pose with this score is verified.
+        edges: Definition of an edge, and the views from which pairs are taken.
+        pairs: Pair features and their table.
+        votes: Accumulator of the votes.
+        clusters: Largest difference of poses that count as one.
+        quick_step: Step through the edge points of a view in the coarse refinement; 1 uses all of them.
+        quick_spacing: Spacing of the surface samples in the coarse refinement, as a share of d_max.
+        quick_edges: Coarse refinement of every hypothesis on boundary points.
+        quick_surface: Coarse refinement of every hypothesis on the depth image.
+        edge_refinement: Full refinement of the finalists on boundary points.
+        surface_refinement: Full refinement of the finalists on the depth image.
+        verification: Tolerances, and coefficients of the logit that hypotheses are ranked by.
+        confidence: Coefficients of the score.
+        bodies: Tolerances for collisions of parts with each other and with the bin.
+        near_symmetry: Near-symmetric poses that are tried beside the best hypothesis.
+        hypotheses: Number of hypotheses that are tried for each group, those with most votes first.
+        most_hypotheses: Number of hypotheses that are tried while none of them is good enough.
+        sure: Logistic function of the logit with which a hypothesis is good enough, in [0, 1].
+        finalists: Number of hypotheses that are refined fully, those with the highest logit first.
+        scene_hypotheses: Number of hypotheses that are tried in a whole scene.
+        min_score: Least score of a verified pose, in [0, 1].
     """
 
     edges: EdgeModelConfig = field(default_factory=EdgeModelConfig)
@@ -53,7 +53,7 @@ class EstimatorConfig:
     verification: VerificationConfig = field(default_factory=VerificationConfig)
     confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)
     bodies: BodyConfig = field(default_factory=BodyConfig)
-    twins: TwinConfig = field(default_factory=TwinConfig)
+    near_symmetry: NearSymmetryConfig = field(default_factory=NearSymmetryConfig)
     hypotheses: int = 4
     most_hypotheses: int = 12
     sure: float = 0.9

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 
 from binpick_env.parts import load_part
-from perception.pose.estimator import PoseEstimate, PoseEstimator
+from perception.pose.estimator import PoseEstimator
+from perception.pose.pose_estimate import PoseEstimate
 from policies.benchmarks.peers.worker import pin
 from policies.benchmarks.pose_peer_inputs import PoseCase, Sight
 from policies.benchmarks.pose_peers import Answers, thread_variables

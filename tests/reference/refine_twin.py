@@ -153,20 +153,20 @@ def descended(T, equations, centre, arm, iterations, damping, observable, still)
         T, steps, length = moved(T, motion, pivot, arm), steps + 1, np.linalg.norm(motion) / (2 * arm)
 
 
-def hidden_points(T, points, matches, depth, K, tolerance, radius):
+def occluded_points(T, points, matches, depth, K, tolerance, radius):
     """Return (M,) whether an unmatched point lies well behind all that was measured around it, or nothing was."""
-    hidden = []
+    occluded = []
     height, width = depth.shape
     for p, k in zip(posed(T, points, points)[0], matches, strict=True):
         if k >= 0 or p[2] <= 1e-3:
-            hidden.append(k < 0)
+            occluded.append(k < 0)
             continue
         u0, v0 = pixel_of(K, p)
         window = range(v0 - radius, v0 + radius + 1), range(u0 - radius, u0 + radius + 1)
         around = [measured_point(depth, K, u, v) for v in window[0] for u in window[1]]
         before = all(q is None or q[2] < p[2] - tolerance for q in around)
-        hidden.append(before or not (0 <= u0 < width and 0 <= v0 < height))
-    return np.array(hidden, bool)
+        occluded.append(before or not (0 <= u0 < width and 0 <= v0 < height))
+    return np.array(occluded, bool)
 
 
 def explained_points(T, points, tangents, boundary, boundary_tangents, gate, min_cosine):

@@ -63,7 +63,7 @@ def _sample(record: PoseRecord, part: PartModel, clear: float) -> Sample:
     predictors = np.column_stack(
         [
             *(columns[name] for name in ("edge_score", "support", "violation")),
-            *(np.clip(columns[name], -clear, clear) for name in ("margin", "firmness")),
+            *(np.clip(columns[name], -clear, clear) for name in ("margin", "score_drop")),
             np.log(np.maximum(columns["size"], 1)),
         ]
     )

@@ -25,7 +25,7 @@ from perception.frame import Frame
 from perception.geometry import Floats
 from perception.instance import Instance, labels_of
 from perception.pose.candidates import nearest_groups
-from perception.pose.estimator import PoseEstimate
+from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.explanation import explain_segments
 from perception.runtime.provenance import git_commit
 from perception.runtime.records import RecordError
@@ -228,7 +228,7 @@ def _trial_ms(method: PoseMethod, boundary: BoundaryCloud, chosen: Sequence[Inst
 
 
 def _verdicts(estimates: Sequence[PoseEstimate]) -> Floats:
-    rows = [[*(getattr(e.verdict, name) for name in VERDICT), e.margin, e.firmness, e.size] for e in estimates]
+    rows = [[*(getattr(e.verdict, name) for name in VERDICT), e.margin, e.score_drop, e.size] for e in estimates]
     return np.array(rows, np.float64).reshape(-1, len(EVIDENCE))
 
 

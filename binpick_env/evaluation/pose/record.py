@@ -15,7 +15,7 @@ from perception.runtime.records import RecordFormat
 FORMAT = RecordFormat(kind="pose record", version=2, remedy="evaluate_pose makes it again")
 STAGES = ("boundary", "surface", "segmentation", "pose", "trials", "explanation", "total")
 VERDICT = ("edge_score", "explained", "support", "violation", "measured")
-EVIDENCE = (*VERDICT, "margin", "firmness", "size")  # of each pose
+EVIDENCE = (*VERDICT, "margin", "score_drop", "size")  # of each pose
 TRIALS = 3  # groups of a scene whose poses the paper counts
 _INTS = {"labels": np.int32, "explained": np.int32, "instance_ids": np.int16, "pixels": np.int16}  # as they are stored
 _PLAIN = ("confidences", "explained_confidences", "visible_fractions", "T_cam_parts", "trials", "poses", "scores")

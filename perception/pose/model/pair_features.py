@@ -1,8 +1,9 @@
 """Pair features of edge points, boundary to boundary by tangent lines (B2B-TL), and the table of a part's pairs.
 
-Source: PPF-MEAM (Liu et al., Sensors 18(8):2719, 2018), reconstructed from its abstract. Of an ordered pair (r, i) with
-``d = p_i - p_r`` the feature is ``|d|`` and the angles between d and either tangent and between the tangents. A
-tangent is a line, its sign is arbitrary: each is turned towards d first, and the table keeps the sign that was needed.
+Source: PPF-MEAM (Liu et al., Sensors 18(8):2719, 2018), reconstructed from its abstract. The feature of an ordered pair
+(r, i) with ``d = p_i - p_r`` consists of ``|d|``, the angles between d and either tangent, and the angle between the
+tangents. A tangent is a line with an arbitrary sign. So each tangent is turned towards d first, and the table stores
+the sign that the reference's tangent had.
 """
 
 import math
@@ -12,11 +13,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.geometry import Floats, require_shape, rotation_about
+from perception.geometry import Floats, rotation_about
 from perception.part import Symmetry
 from perception.pose.model._pair_kernels import FeatureGrid, Ints, Votes, model_pairs, tangent_frames
+from perception.pose.model.edge_models import EdgeModel
 
-# An entry's weight is a whole number of 1 / WEIGHT_ONE, so that sums are exact: 30 000 scene points stay below 2**31.
+# Weights are integers in units of 1 / WEIGHT_ONE, so that sums are exact; those of 30 000 points stay below 2**31.
 WEIGHT_ONE = 1024
 _MAX_CELLS = 1 << 24
 
@@ -26,28 +28,33 @@ class PairConfig:
     """Cells of the pair feature; lengths are shares of the part's ``d_max``.
 
     Attributes:
-        distance_step: Width of a cell of ``|d|``.
-        angle_step: Width of a cell of each angle [rad].
-        distance_noise: A look-up also takes the neighbouring cell if its border is within this; 0 for never.
-        angle_noise: The same for angles [rad].
-        radius: Longest pair.
-        nearest: Shortest pair; below it noise decides the direction of d.
-        collinear: Pairs whose d is within this angle of the reference's tangent are left out [rad]: they say nothing
-            about the turn round it.
-        same_view: Only pairs that are edges of a common view; False for every pair.
-        weighting: What an entry counts: "inverse" 1 / entries of its cell, "capped" the same but 1 up to
-            ``weight_cap`` times the median cell, "none" 1. Parallel straight edges fill few cells with many entries;
-            but equal entries are kept once, which removes most of the slide along them, and weights did not help more.
-        weight_cap: See ``weighting``.
-        signs: "safe" as told at the top of this module. For comparison: "no_flip" forgets the sign that was needed and
-            takes every two tangents to point the same way; "raw" takes tangents' signs as they come.
-        orbit_distance: Model points that a symmetry brings this close share one accumulator row ...
-        orbit_angle: ... if their tangents agree within this [rad].
+        distance_step: Width of a cell along ``|d|``, the distance of the two points.
+        angle_step: Width of a cell along each angle [rad].
+        distance_noise: Error of a distance that a look-up allows for: it also reads a neighbouring cell whose border
+            is this near. With 0 it never does.
+        angle_noise: Error of an angle that a look-up allows for in the same way [rad].
+        radius: Largest distance of a pair.
+        nearest: Smallest distance of a pair; below it noise decides the direction of d.
+        collinear: Smallest angle between d and the reference's tangent [rad]. Pairs below it say nothing about the
+            rotation about the tangent.
+        same_view: Whether only points that are edges of a common view are paired.
+        weighting: Weight of an entry: "inverse" is 1 / entries of its cell, "capped" is the same but 1 in cells of up
+            to ``weight_cap`` times the median number of entries, "none" is 1. Parallel straight edges fill few cells
+            with many entries. But equal entries are kept once, which removes most of the sliding along such edges, and
+            weights did not improve on that.
+        weight_cap: Limit of the weighting "capped", in medians.
+        signs: Treatment of the tangents' signs. "safe" is described at the top of this module. The others are for
+            comparison: "no_flip" discards the stored sign and assumes that any two tangents point the same way; "raw"
+            uses the tangents' signs as they are.
+        orbit_distance: Largest distance of two model points, after a rotation of the symmetry group, that share an
+            accumulator row.
+        orbit_angle: Largest angle between the tangents of two such points [rad].
 
     Note:
-        Defaults by trial on true segments of rendered bins, 14 groups of each of five parts: the share of reference
+        Defaults by trial on true segments of rendered bins, 14 groups of each of five parts. The share of reference
         points that gave the right pose was 0.62 with "none", 0.61 with "capped" at 20, 0.55 at 5 and 0.27 with
-        "inverse"; 0.62 with look-ups spread by 3 degrees, 0.59 without; spread in distance cost time only.
+        "inverse". It was 0.62 with look-ups that allow for 3 degrees, and 0.59 without. Allowing for errors of the
+        distance cost time only.
     """
 
     distance_step: float = 0.035
@@ -69,7 +76,7 @@ class PairConfig:
             if not 0 < getattr(self, name) <= high:
                 raise ValueError(f"{name} must be in (0, {high:.4g}], got {getattr(self, name)}")
         for name, high in (
-            # More than half a cell of noise would reach over two borders at once: 2**4 cells are the most.
+            # With up to half a cell of noise at most one border is near along each axis: 2**4 cells at most.
             ("distance_noise", self.distance_step / 2),
             ("angle_noise", self.angle_step / 2),
             ("nearest", self.radius),
@@ -95,7 +102,7 @@ class PairConfig:
         return grid.distances * grid.inclinations**2 * grid.half_turns
 
     def grid(self, d_max: float) -> FeatureGrid:
-        """Return the cells for a part of diameter ``d_max`` [m]."""
+        """Return the cells in absolute units for a part of diameter ``d_max`` [m]."""
         folded = self.signs != "raw"
         return FeatureGrid(
             distance_step=self.distance_step * d_max,
@@ -104,7 +111,7 @@ class PairConfig:
             angle_noise=self.angle_noise,
             nearest=self.nearest * d_max,
             collinear=self.collinear,
-            # One more than radius / step, for pairs of exactly that length and a little noise.
+            # One cell more than radius / step, for pairs of exactly that length and a little noise.
             distances=math.floor(self.radius / self.distance_step + 1e-9) + 1,
             inclinations=math.ceil((math.pi / 2 if folded else math.pi) / self.angle_step - 1e-9),
             half_turns=math.ceil(math.pi / self.angle_step - 1e-9),
@@ -115,17 +122,17 @@ class PairConfig:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PairTable:
-    """A part's pairs, sorted by cell, and the model points that are the rows of an accumulator.
+    """A part's pairs sorted by cell, and the model points that are the rows of an accumulator.
 
     Attributes:
-        points: (R, 3) model point of each row, part frame [m].
-        frames: (R, 3, 3) rotation that maps its tangent to x.
-        rows: (M,) row of each edge point that the table was built of, -1 for one that was dropped.
-        offsets: (C + 1,) int32, where each cell's entries begin.
-        entries: (E,) uint32 ``row << 9 | sign << 8 | angle``, see :func:`._pair_kernels.model_pairs`.
-        weights: (C,) int32 weight of a cell's entries, in 1 / ``WEIGHT_ONE``.
-        grid: The cells.
-        centre: (3,) where poses are compared, part frame [m].
+        points: (R, 3) model point of each accumulator row, part frame [m].
+        frames: (R, 3, 3) rotation that maps the tangent of each row's point to x.
+        rows: (M,) accumulator row of each edge point that the table was built from, -1 for a dropped one.
+        offsets: (C + 1,) int32 index of each cell's first entry.
+        entries: (E,) uint32 ``row << 9 | sign << 8 | angle``; see :func:`._pair_kernels.model_pairs`.
+        weights: (C,) int32 weight of each cell's entries, in units of 1 / ``WEIGHT_ONE``.
+        grid: Cells in absolute units.
+        centre: (3,) point of the part at which poses are compared, part frame [m].
         d_max: Diameter of the part [m].
     """
 
@@ -140,74 +147,55 @@ class PairTable:
     d_max: float
 
 
-def build_table(
-    points: Floats,
-    tangents: Floats,
-    visibility: NDArray[np.uint32],
-    d_max: float,
-    config: PairConfig | None = None,
-    *,
-    symmetry: Symmetry | None = None,
-    centre: Floats | None = None,
-) -> PairTable:
+def build_table(edges: EdgeModel, config: PairConfig | None = None, symmetry: Symmetry | None = None) -> PairTable:
     """Put all admissible ordered pairs of a part's edge points into a table.
 
-    With a symmetry, the points that it maps onto each other share one accumulator row (their votes would be split
-    over equivalent poses otherwise); equal entries of a row are kept once.
+    Points that the symmetry maps onto each other share one accumulator row, because their votes would be split over
+    equivalent poses otherwise. Equal entries of a row are kept once.
 
     Args:
-        points: (M, 3) edge points, part frame [m].
-        tangents: (M, 3) directions of their edges, of either sign and any length; points with none are dropped.
-        visibility: (M,) uint32, bit v set where the point is an edge of view v.
-        d_max: Diameter of the part [m].
-        config: Cells and weights.
-        symmetry: The part's; None for no merging.
-        centre: (3,) the point that the symmetry fixes; the points' mean if left out.
+        edges: Edge points of the part. Their tangents may have any sign and length; points without one are dropped.
+        config: Cells and weights; the defaults of :class:`PairConfig` if None.
+        symmetry: Rotations about the part's centre that map it onto itself; None to merge no points.
 
     Returns:
-        The table; empty, but valid, when no pair is admissible.
+        The table; empty, but valid, if no pair is admissible.
 
     Note:
-        Deterministic; 0.1 s for 600 points.
+        Deterministic. Takes 0.1 s for 600 points.
     """
     config = config or PairConfig()
-    require_shape("points", points, (None, 3))
-    require_shape("tangents", tangents, (len(points), 3))
-    require_shape("visibility", visibility, (len(points),))
-    if not 0 < d_max < math.inf:
-        raise ValueError(f"d_max must be positive, got {d_max}")
-    kept = usable(points, tangents)
-    units = unit(tangents[kept])
-    part_points = np.ascontiguousarray(points[kept], dtype=np.float64)
-    if centre is None:
-        centre = part_points.mean(axis=0) if len(part_points) else np.zeros(3)
-    require_shape("centre", centre, (3,))
-    members, turns, heads = _orbits(part_points - centre, units, symmetry or Symmetry(), config, d_max)
-    # A member's pairs are seen in the frame of its row's head, with its tangent pointing the head's way.
-    signs = np.where(np.einsum("mij,mj,mi->m", turns, units, units[heads][members]) < 0, -1.0, 1.0)
-    frames = tangent_frames(units[heads])
-    mask = np.asarray(visibility[kept] if config.same_view else np.ones(len(kept)), dtype=np.uint32)
-    grid = config.grid(d_max)
-    pairs = model_pairs(part_points, units * signs[:, None], frames[members] @ turns, members, mask, grid)
+    kept = usable(edges.points, edges.tangents)
+    units = unit(edges.tangents[kept])
+    points = np.ascontiguousarray(edges.points[kept], dtype=np.float64)
+    orbits = _orbits(points - edges.centre, units, symmetry or Symmetry(), config, edges.d_max)
+    members, rotations, representatives = orbits
+    # A member's pairs are seen in the frame of its row's representative, and its tangent has the sign of that one's.
+    turned = np.einsum("mij,mj,mi->m", rotations, units, units[representatives][members])
+    signs = np.where(turned < 0, -1.0, 1.0)
+    frames = tangent_frames(units[representatives])
+    mask = np.asarray(edges.visibility[kept] if config.same_view else np.ones(len(kept)), dtype=np.uint32)
+    grid = config.grid(edges.d_max)
+    pairs = model_pairs(points, units * signs[:, None], frames[members] @ rotations, members, mask, grid)
     pairs = np.unique(pairs)
     counts = np.bincount(pairs >> 32, minlength=config.cells)
-    rows = np.full(len(points), -1, dtype=np.int64)
+    rows = np.full(len(edges), -1, dtype=np.int64)
     rows[kept] = members
     return PairTable(
-        points=part_points[heads],
+        points=points[representatives],
         frames=frames,
         rows=rows,
         offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
         entries=(pairs & 0xFFFFFFFF).astype(np.uint32),
         weights=_weights(counts, config),
         grid=grid,
-        centre=np.array(centre, dtype=np.float64),
-        d_max=float(d_max),
+        centre=np.array(edges.centre, dtype=np.float64),
+        d_max=float(edges.d_max),
     )
 
 
 def usable(points: Floats, tangents: Floats) -> Ints:
-    """Return the indices of the points that are finite and have a finite direction."""
+    """Return the indices of the (N, 3) points that are finite and have a finite (N, 3) tangent other than 0."""
     norm = np.linalg.norm(tangents, axis=1)
     return np.flatnonzero(np.isfinite(points).all(axis=1) & np.isfinite(norm) & (norm > 1e-9))
 
@@ -219,7 +207,7 @@ def unit(vectors: Floats) -> Floats:
 
 
 def _weights(counts: Ints, config: PairConfig) -> Votes:
-    """Return (C,) whole-numbered weights of cells with ``counts`` entries; at least 1."""
+    """Return (C,) integer weights, at least 1, of cells with ``counts`` entries."""
     filled = counts[counts > 0]
     if config.weighting == "none" or len(filled) == 0:
         return np.full(len(counts), WEIGHT_ONE, dtype=np.int32)
@@ -231,47 +219,47 @@ def _weights(counts: Ints, config: PairConfig) -> Votes:
 def _orbits(
     offsets: Floats, tangents: Floats, symmetry: Symmetry, config: PairConfig, d_max: float
 ) -> tuple[Ints, Floats, Ints]:
-    """Group points that the symmetry maps onto each other.
+    """Group points that the symmetry maps onto each other into orbits; the first point of an orbit represents it.
 
     Args:
-        offsets: (M, 3) points relative to the fixed point.
-        tangents: (M, 3) unit.
-        symmetry: The group.
-        config: Tolerances.
-        d_max: Their unit [m].
+        offsets: (M, 3) points relative to the part's centre [m].
+        tangents: (M, 3) unit tangents of the edges.
+        symmetry: Symmetry of the part.
+        config: Tolerances, as shares of ``d_max``.
+        d_max: Diameter of the part [m].
 
     Returns:
-        (M,) orbit of each point; (M, 3, 3) the group's rotation that brings it to its orbit's head; (R,) the heads,
-        the first point of each orbit.
+        (M,) orbit of each point; (M, 3, 3) rotation of the symmetry group that brings each point to the representative
+        of its orbit; (R,) representatives, the first point of each orbit.
     """
-    members, turns = np.arange(len(offsets)), np.tile(np.eye(3), (len(offsets), 1, 1))
+    members, to_representative = np.arange(len(offsets)), np.tile(np.eye(3), (len(offsets), 1, 1))
     if symmetry.order == 1 or len(offsets) == 0:
-        return members, turns, members
-    # Each point under each rotation of the group; a continuous axis turns it to the half-plane of azimuth 0.
+        return members, to_representative, members
+    # Each point under each rotation of the group; a continuous axis rotates it to the half-plane of azimuth 0.
     rotations = np.repeat(symmetry.rotations[None], len(offsets), axis=0)
     if symmetry.axis is not None:
         rotations = _to_half_plane(rotations, offsets, tangents, symmetry.axis, config.orbit_distance * d_max)
     places = np.einsum("msij,mj->msi", rotations, offsets)
     directions = np.einsum("msij,mj->msi", rotations, tangents)
     cosine = math.cos(config.orbit_angle)
-    heads: list[int] = []
+    representatives: list[int] = []
     for m in range(len(offsets)):
-        # The head stands where its own first rotation puts it.
-        far = np.linalg.norm(places[m] - places[heads, 0][:, None], axis=-1)
-        along = np.abs(np.sum(directions[m] * directions[heads, 0][:, None], axis=-1))
+        # A representative is placed where its own first rotation puts it.
+        far = np.linalg.norm(places[m] - places[representatives, 0][:, None], axis=-1)
+        along = np.abs(np.sum(directions[m] * directions[representatives, 0][:, None], axis=-1))
         fits = np.argwhere((far <= config.orbit_distance * d_max) & (along >= cosine))
-        orbit, s = fits[0] if len(fits) else (len(heads), 0)
+        orbit, s = fits[0] if len(fits) else (len(representatives), 0)
         if not len(fits):
-            heads.append(m)
+            representatives.append(m)
         members[m] = orbit
-        turns[m] = rotations[heads[orbit], 0].T @ rotations[m, s]
-    return members, turns, np.array(heads, dtype=np.int64)
+        to_representative[m] = rotations[representatives[orbit], 0].T @ rotations[m, s]
+    return members, to_representative, np.array(representatives, dtype=np.int64)
 
 
 def _to_half_plane(rotations: Floats, offsets: Floats, tangents: Floats, axis: Floats, reach: float) -> Floats:
-    """Return (M, S, 3, 3) rotations followed by the turn about ``axis`` that brings the point to azimuth 0.
+    """Return (M, S, 3, 3) rotations, each followed by the one about ``axis`` that brings the point to azimuth 0.
 
-    Points within ``reach`` of the axis have no azimuth of their own: their tangent's is taken.
+    Points within ``reach`` [m] of the axis have no azimuth; that of their tangent is used.
     """
     frame = tangent_frames(np.ascontiguousarray(axis[None], dtype=np.float64))[0]
     out = np.empty_like(rotations)

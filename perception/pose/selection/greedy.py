@@ -1,71 +1,57 @@
-"""Poses of many groups brought into agreement: where parts would share room, the surer pose stands."""
+"""Greedy, collision-aware pose selection: where parts would overlap, the pose with the higher score is kept."""
 
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 from perception.geometry import Floats
+from perception.pose.pose_estimate import PoseEstimate
 
 
-class Posed(Protocol):
-    """What is asked of a pose."""
+class PoseSource(Protocol):
+    """The possible poses of one group of boundary points."""
 
-    @property
-    def T_cam_part(self) -> Floats:
-        """(4, 4)."""
-        ...
-
-    @property
-    def score(self) -> float:
-        """How likely it is right, in [0, 1]."""
-        ...
-
-
-P = TypeVar("P", bound=Posed, covariant=True)
-
-
-class Choice(Protocol[P]):
-    """The poses that a group of points may have."""
-
-    def best(self) -> P | None:
-        """Return the likeliest of those left, None if none is left."""
+    def best(self) -> PoseEstimate | None:
+        """Return the best pose that is left, None if none is left."""
         ...
 
     def rule_out(self, impossible: Callable[[Floats], bool]) -> bool:
-        """Leave out the (4, 4) poses that are impossible; return whether there were any."""
+        """Remove the (4, 4) poses that are impossible; return whether there were any."""
         ...
 
 
-def arrange(choices: Sequence[Choice[P]], clash: Callable[[Floats, Floats], bool], sure: float) -> list[P | None]:
-    """Choose a pose for each group, the surest groups first.
+def select_poses(
+    groups: Sequence[PoseSource], collide: Callable[[Floats, Floats], bool], min_score: float
+) -> list[PoseEstimate | None]:
+    """Select one pose for each group, groups with the highest score first.
 
-    Every pose that is sure enough stands, and rules out all poses of groups less sure that clash with it. So a group's
-    next best pose may take the place of its best one, and a pose may become surer as its rivals fall.
+    A pose that reaches the score rules out the poses of all lower groups that collide with it. The next best pose of
+    such a group may take its place, and its score may rise because fewer rivals are left.
 
     Args:
-        choices: Of each group.
-        clash: Whether two (4, 4) ``T_cam_part`` cannot be true at once; the first one stands.
-        sure: A pose with this score rules others out.
+        groups: Possible poses of each group.
+        collide: Whether two parts in the (4, 4) poses ``T_cam_part`` would collide; the first pose is selected.
+        min_score: Score from which a pose rules out others, in [0, 1].
 
     Returns:
-        A pose of each group, None where none was possible.
+        The pose of each group; None where no pose is possible.
 
     Note:
-        Deterministic: of equally sure groups the first comes first.
+        Deterministic: of groups with equal scores the first one is selected first.
     """
-    poses = [choice.best() for choice in choices]
-    left = list(range(len(choices)))
-    while left:
-        k = max(left, key=lambda j: _score(poses[j]))
-        standing = poses[k]
-        if standing is None or standing.score < sure:
+    poses = [group.best() for group in groups]
+    remaining = list(range(len(groups)))
+    while remaining:
+        k = max(remaining, key=lambda j: _score(poses[j]))
+        selected = poses[k]
+        if selected is None or selected.score < min_score:
             break
-        left.remove(k)
-        T = standing.T_cam_part
-        for j in left:
-            if choices[j].rule_out(lambda other, T=T: clash(T, other)):  # type: ignore[misc]
-                poses[j] = choices[j].best()
+        remaining.remove(k)
+        T_cam_part = selected.T_cam_part
+        for j in remaining:
+            if groups[j].rule_out(lambda other, T=T_cam_part: collide(T, other)):  # type: ignore[misc]
+                poses[j] = groups[j].best()
     return poses
 
 
-def _score(pose: Posed | None) -> float:
+def _score(pose: PoseEstimate | None) -> float:
     return -1.0 if pose is None else pose.score

@@ -12,12 +12,13 @@ from perception.pose._transform_kernels import Ints, Singles, apply, rotate
 
 
 @njit(cache=True, nogil=True)
-def hidden_points(
+def occluded_points(
     T: Floats, points: Floats, matches: Ints, depth: Singles, K: Floats, tolerance: float, radius: int
 ) -> NDArray[np.bool_]:
-    """Return (M,) whether nothing can be said of an unmatched model point: it is hidden, or nothing was measured.
+    """Return (M,) whether an unmatched model point is occluded, or could be because nothing was measured there.
 
-    Hidden is what lies more than ``tolerance`` [m] behind all that was measured in a window of ``radius`` pixels.
+    A point is occluded if it lies more than ``tolerance`` [m] behind everything that was measured in a window of
+    ``radius`` pixels. Matched points (``matches`` of 0 or more) are never occluded.
     """
     height, width = depth.shape
     out = np.zeros(len(points), np.bool_)

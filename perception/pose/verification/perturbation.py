@@ -1,7 +1,7 @@
-"""How firmly a pose is held: what becomes of its evidence when the part is turned a little.
+"""Score drop under perturbation: how much worse a pose fits when the part is rotated a little.
 
-Where all that tells a turn is hidden, turned poses fit as well as the right one, and none of the rivals found need show
-it: a pipe's branch behind another part leaves the turn about the pipe open.
+Where everything that fixes a rotation is occluded, rotated poses fit as well as the right one, and no rival hypothesis
+needs to show it. For example, a tee whose branch is behind another part may have any rotation about its run.
 """
 
 from collections.abc import Callable
@@ -11,31 +11,31 @@ import numpy as np
 from perception.geometry import Floats, make_transform, rotation_about
 from perception.part import PartModel
 
-TURN = float(np.deg2rad(8.0))  # more than a right pose may be off [rad]
-_SAME = float(np.deg2rad(2.0))  # a turn that the part's symmetry makes less than this is none [rad]
+ANGLE = float(np.deg2rad(8.0))  # of each perturbation; more than a right pose is off [rad]
+_SAME = float(np.deg2rad(2.0))  # a rotation that the symmetry reduces to less than this is left out [rad]
 
 
 def small_rotations(part: PartModel) -> Floats:
-    """Return (K, 4, 4) turns by `TURN`, both ways about each principal axis, that a part's symmetry does not undo.
+    """Return (K, 4, 4) motions that rotate a part by `ANGLE` about its centre, expressed in the part frame.
 
-    They are motions in the part's own frame, and keep its centre.
+    They rotate both ways about each principal axis. Rotations that the part's symmetry undoes are left out.
     """
     axes = np.asarray(part.mesh.principal_inertia_vectors, np.float64)
-    turns = []
+    motions = []
     for axis in np.concatenate([axes, -axes]):
-        rotation = rotation_about(axis, TURN)
+        rotation = rotation_about(axis, ANGLE)
         if part.symmetry.distance(rotation, np.eye(3)) > _SAME:
-            turns.append(make_transform(rotation, part.centre - rotation @ part.centre))
-    return np.array(turns).reshape(-1, 4, 4)
+            motions.append(make_transform(rotation, part.centre - rotation @ part.centre))
+    return np.array(motions).reshape(-1, 4, 4)
 
 
-def firmness(T_cam_part: Floats, turns: Floats, evidence: Callable[[Floats], float]) -> float:
-    """Return by how much the evidence falls at least, whichever way the part turns; infinite if there is no turn.
+def score_drop(T_cam_part: Floats, perturbations: Floats, logit: Callable[[Floats], float]) -> float:
+    """Return the smallest decrease of a pose's logit over all perturbations; infinite if there are none.
 
     Args:
-        T_cam_part: (4, 4).
-        turns: (K, 4, 4) in the part's own frame.
-        evidence: What speaks for a (4, 4) pose.
+        T_cam_part: (4, 4) pose of the part in the camera frame.
+        perturbations: (K, 4, 4) motions in the part frame.
+        logit: Function that returns the logit of a (4, 4) pose.
     """
-    here = evidence(T_cam_part)
-    return min((here - evidence(T_cam_part @ turn) for turn in turns), default=np.inf)
+    here = logit(T_cam_part)
+    return min((here - logit(T_cam_part @ motion) for motion in perturbations), default=np.inf)

@@ -1,8 +1,9 @@
-"""Whether a pose is right: its edges are seen, they explain what was seen, and its surface is where depth is."""
+"""Verification: how well a pose agrees with the boundary points and the depth image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from perception.frame import Frame
 from perception.geometry import Floats
@@ -12,23 +13,36 @@ from perception.pose.verification import _refine_kernels, _verification_kernels
 from perception.pose.verification.boundary_index import BoundaryIndex
 from perception.pose.verification.refinement import require_depth, require_pose, view_direction
 
-HIDING_RADIUS = 2  # an edge point is hidden if all that is measured so near to it lies before it [px]
+OCCLUSION_RADIUS = 2  # an edge point is occluded if everything measured within this window lies before it [px]
 
 
 @dataclass(frozen=True, kw_only=True)
 class VerificationConfig:
-    """Tolerances, and the coefficients of the evidence.
+    """Tolerances, and the coefficients of the logit that hypotheses are ranked by.
 
-    These were fitted once to right and wrong hypotheses about tees and lids (2 230 of them, of scenes of seed 31), so
-    that the right one of a group comes first; how sure a pose is, `perception.pose.verification.confidence` says.
+    The coefficients were fitted once to right and wrong hypotheses about tees and lids (2 230 of them, in scenes of
+    seed 31), so that the right one of a group ranks first. `perception.pose.verification.confidence` gives the
+    probability that it is right.
+
+    Attributes:
+        edge_distance: Largest distance between a model edge point and a boundary point, as a share of d_max.
+        edge_angle: Largest angle between their tangents as lines [rad].
+        surface_distance: Largest distance between the model's surface and the measured one, as a share of d_max.
+        noise: Standard deviation of the sensor's depth; three of them are tolerated [m].
+        window: Distance from a sample's pixel up to which the measured surface is searched [px].
+        bias: Constant term of the logit.
+        edge_weight: Coefficient of the edge score.
+        explained_weight: Coefficient of the explained share of the group.
+        support_weight: Coefficient of the support.
+        violation_weight: Coefficient of the violation.
     """
 
-    edge_distance: float = 0.03  # from a model edge point to a boundary point, as a share of d_max
-    edge_angle: float = float(np.deg2rad(20.0))  # between their tangents [rad]
-    surface_distance: float = 0.02  # from the model's surface to the measured one, as a share of d_max
-    noise: float = 0.0003  # the sensor's standard deviation of depth; three of them are tolerated [m]
-    window: int = 1  # how far from a sample's pixel the measured surface is looked for [px]
-    bias: float = -5.5  # of the evidence
+    edge_distance: float = 0.03
+    edge_angle: float = float(np.deg2rad(20.0))
+    surface_distance: float = 0.02
+    noise: float = 0.0003
+    window: int = 1
+    bias: float = -5.5
     edge_weight: float = 0.6
     explained_weight: float = 8.1
     support_weight: float = 2.9
@@ -49,20 +63,41 @@ class VerificationConfig:
                 raise ValueError(f"{name} must be finite, got {getattr(self, name)}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """What speaks for a pose and what against it; shares in [0, 1].
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ObservedGroup:
+    """A group of boundary points in its frame: everything that a pose is compared with.
 
     Attributes:
-        edge_score: Of the edge points that the pose's view shows and nothing hides, with a boundary point near and
-            along them.
-        explained: Of the boundary points that the pose was found by, with an edge of the posed part near and along
-            them.
-        support: Of the samples that the part itself does not hide and where a depth was measured, on that surface.
-        violation: Of the same samples, in front of it: the camera saw through them. Those behind it are hidden by
-            something else and count as neither.
-        measured: Of the samples that the part itself does not hide, with a depth.
-        evidence: Weighted sum of the first four, by which the poses of a group are ranked.
+        points_cam: (N, 3) boundary points of the group, which a pose has to explain, camera frame [m].
+        tangents_cam: (N, 3) unit tangents of these points, sign arbitrary.
+        boundary: Index of all boundary points of the frame; an edge may have been assigned to another group.
+        frame: Depth image and camera.
+    """
+
+    points_cam: Floats
+    tangents_cam: Floats
+    boundary: BoundaryIndex
+    frame: Frame
+
+    def only(self, chosen: NDArray[np.int64]) -> "ObservedGroup":
+        """Return the group of some of the points, chosen by their indices, in the same frame."""
+        return replace(self, points_cam=self.points_cam[chosen], tangents_cam=self.tangents_cam[chosen])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Agreement of a pose with the boundary points and the depth image; shares are in [0, 1].
+
+    Attributes:
+        edge_score: Share of the visible edge points of the posed part, those that nothing occludes, which have a
+            boundary point of like tangent near them.
+        explained: Share of the group's boundary points that have an edge point of like tangent of the posed part
+            near them.
+        support: Share of the samples with a depth, self-occluded ones left out, that lie on the measured surface.
+        violation: Share of the same samples that lie in front of the measured surface: the camera saw through them.
+            Samples behind it are occluded by something else; they count neither as support nor as violation.
+        measured: Share of the samples that are not self-occluded for which a depth was measured.
+        logit: Weighted sum of the first four, by which the hypotheses of a group are ranked.
     """
 
     edge_score: float
@@ -70,38 +105,34 @@ class Verdict:
     support: float
     violation: float
     measured: float
-    evidence: float
+    logit: float
 
     @property
     def score(self) -> float:
-        """Logistic of the evidence, in [0, 1]."""
-        return float(0.5 * (1 + np.tanh(self.evidence / 2)))
+        """Logistic function of the logit, in [0, 1]."""
+        return float(0.5 * (1 + np.tanh(self.logit / 2)))
 
     @property
     def visible_fraction(self) -> float:
-        """Share of the part's camera-facing surface that is seen."""
+        """Share of the part's camera-facing surface that is visible, in [0, 1]."""
         return self.support * self.measured
 
 
 def verify(
     T_cam_part: Floats,
-    model: SeenEdges,
+    edges: SeenEdges,
     surface: SurfaceModel,
-    boundary: BoundaryIndex,
-    frame: Frame,
-    group: tuple[Floats, Floats],
+    group: ObservedGroup,
     config: VerificationConfig | None = None,
 ) -> Verdict:
-    """Compare a pose with everything that was seen.
+    """Compare a pose with the boundary points and the depth image.
 
     Args:
-        T_cam_part: (4, 4).
-        model: The part's edges.
-        surface: The part's surface.
-        boundary: Of the whole scene: an edge may have been given to another group.
-        frame: For depth and K.
-        group: (N, 3) boundary points that the pose has to explain, camera frame [m], and their (N, 3) unit tangents.
-        config: :class:`VerificationConfig`'s defaults if left out.
+        T_cam_part: (4, 4) pose of the part in the camera frame.
+        edges: Edge points of the part by direction of view.
+        surface: Samples of the part's surface.
+        group: Boundary points that the pose has to explain, and their frame.
+        config: Tolerances and coefficients; the defaults of :class:`VerificationConfig` if None.
 
     Raises:
         ValueError: The pose is not (4, 4) or not finite, or the frame has no depth.
@@ -111,46 +142,54 @@ def verify(
     """
     config = config or VerificationConfig()
     T = require_pose(T_cam_part)
-    require_depth(frame)
-    edges, explained = edge_scores(T, model, boundary, frame, group, config)
-    gaps, measured = _gaps(T, surface, frame, config.window)
-    tolerance = _tolerance(model.d_max, config)
+    require_depth(group.frame)
+    edge_score, explained = edge_scores(T, edges, group, config)
+    gaps, measured = _gaps(T, surface, group.frame, config.window)
+    tolerance = _tolerance(edges.d_max, config)
     support = float(np.mean(np.abs(gaps) <= tolerance)) if len(gaps) else 0.0
     violation = float(np.mean(gaps > tolerance)) if len(gaps) else 0.0
     return Verdict(
-        edge_score=edges,
+        edge_score=edge_score,
         explained=explained,
         support=support,
         violation=violation,
         measured=measured,
-        evidence=evidence(edges, explained, support, violation, config),
+        logit=ranking_logit(edge_score, explained, support, violation, config),
     )
 
 
 def edge_scores(
-    T_cam_part: Floats,
-    model: SeenEdges,
-    boundary: BoundaryIndex,
-    frame: Frame,
-    group: tuple[Floats, Floats],
-    config: VerificationConfig,
+    T_cam_part: Floats, edges: SeenEdges, group: ObservedGroup, config: VerificationConfig
 ) -> tuple[float, float]:
-    """Return what share of the pose's unhidden edges was seen, and what share of the group they explain."""
+    """Return the edge score of a pose, and the share of the group that its edges explain; see :class:`Verdict`.
+
+    Args:
+        T_cam_part: (4, 4) pose of the part in the camera frame.
+        edges: Edge points of the part by direction of view.
+        group: Boundary points that the pose has to explain, and their frame.
+        config: Tolerances.
+
+    Raises:
+        ValueError: The pose is not (4, 4) or not finite.
+    """
     T = require_pose(T_cam_part)
-    points, tangents = model.seen_from(view_direction(T, model.centre))
-    gate, min_cosine = config.edge_distance * model.d_max, float(np.cos(config.edge_angle))
-    matches = boundary.match(T, points, tangents, gate=gate, max_angle=config.edge_angle)
-    tolerance = _tolerance(model.d_max, config)
-    hidden = _verification_kernels.hidden_points(T, points, matches, frame.depth, frame.K, tolerance, HIDING_RADIUS)
-    seen, unhidden = np.count_nonzero(matches >= 0), len(points) - np.count_nonzero(hidden)
-    explained = _verification_kernels.explained_points(T, points, tangents, *group, gate, min_cosine)
-    return float(seen / unhidden) if unhidden else 0.0, float(np.mean(explained)) if len(explained) else 0.0
+    points, tangents = edges.seen_from(view_direction(T, edges.centre))
+    gate, min_cosine = config.edge_distance * edges.d_max, float(np.cos(config.edge_angle))
+    matches = group.boundary.match(T, points, tangents, gate=gate, max_angle=config.edge_angle)
+    occluded = _verification_kernels.occluded_points(
+        T, points, matches, group.frame.depth, group.frame.K, _tolerance(edges.d_max, config), OCCLUSION_RADIUS
+    )
+    matched, visible = np.count_nonzero(matches >= 0), len(points) - np.count_nonzero(occluded)
+    explained = _verification_kernels.explained_points(
+        T, points, tangents, group.points_cam, group.tangents_cam, gate, min_cosine
+    )
+    return float(matched / visible) if visible else 0.0, float(np.mean(explained)) if len(explained) else 0.0
 
 
-def evidence(
+def ranking_logit(
     edge_score: float, explained: float, support: float, violation: float, config: VerificationConfig
 ) -> float:
-    """Return the weighted sum of the four shares."""
+    """Return the weighted sum of four shares, by which the hypotheses of a group are ranked."""
     return (
         config.bias
         + config.edge_weight * edge_score
@@ -165,7 +204,7 @@ def _tolerance(d_max: float, config: VerificationConfig) -> float:
 
 
 def _gaps(T: Floats, surface: SurfaceModel, frame: Frame, window: int) -> tuple[Floats, float]:
-    """Return how far behind (+) or before (-) each visible sample a surface was measured [m], and for what share."""
+    """Return how far the measured surface lies behind (+) or before (-) the visible samples [m], and their share."""
     visible = surface.visible(T)
     gaps = _refine_kernels.surface_gaps(T, surface.points, surface.normals, visible, frame.depth, frame.K, window)
     known: Floats = gaps[~np.isnan(gaps)]

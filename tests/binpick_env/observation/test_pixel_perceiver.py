@@ -24,7 +24,8 @@ from binpick_env.observation.pixel_perceiver import (
 from perception.instance import Instance, true_instances
 from perception.pipeline import Perception
 from perception.pose.candidates import expected_points
-from perception.pose.estimator import PoseEstimate, PoseEstimator
+from perception.pose.estimator import PoseEstimator
+from perception.pose.pose_estimate import PoseEstimate
 from tests.binpick_env.observed_cell import assert_right, cell, in_play, no_weights_of_the_users_own, seen_in  # noqa: F401
 from tests.binpick_env.small_cell import REST, act, assert_same, random_actions
 

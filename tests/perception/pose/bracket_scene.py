@@ -7,7 +7,8 @@ import numpy as np
 from perception.geometry import make_transform, random_rotation, transform_points
 from perception.part import Symmetry, diameter
 from perception.pose.hypotheses.voting import VoteConfig
-from perception.pose.model.pair_features import build_table, unit
+from perception.pose.model.pair_features import unit
+from tests.perception.pose.pair_tables import table_of
 
 STEP = 0.0275  # of d_max between points of an edge
 EVERY = VoteConfig(keep=10_000, min_references=1, reference_step=1)
@@ -40,7 +41,7 @@ def sample(edges, spacing, phase=0.5):
 
 def bracket_table(config=None, **overrides):
     points, tangents = sample(BRACKET, STEP * D)
-    return build_table(points, tangents, np.ones(len(points), np.uint32), D, config, **overrides)
+    return table_of(points, tangents, np.ones(len(points), np.uint32), D, config, **overrides)
 
 
 def bracket_scene(rng, *, missing=0.0, clutter=0, offset=0.0, tilt=0.0):

@@ -13,8 +13,10 @@ from perception.instance import Instance
 from perception.metrics.pose_error import pose_error
 from perception.part import PartModel
 from perception.pose import estimator as module
-from perception.pose.estimator import PoseEstimate, PoseEstimator
+from perception.pose import hypothesis_scoring
+from perception.pose.estimator import PoseEstimator
 from perception.pose.estimator_config import EstimatorConfig
+from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.confidence import ConfidenceConfig, confidence
 from perception.runtime.threads import use_threads
 from tests.perception.pose import observed_part as at
@@ -90,7 +92,7 @@ def test_a_pose_is_found_among_points_of_nothing(seed: int) -> None:
     (clean,) = groups_of(scene)
     assert found is not None
     assert clean is not None
-    assert found.verdict.evidence < clean.verdict.evidence - 1  # what it leaves unexplained speaks against it
+    assert found.verdict.logit < clean.verdict.logit - 1  # what it leaves unexplained speaks against it
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -163,17 +165,17 @@ def test_the_margin_is_the_lead_over_poses_that_differ(monkeypatch: pytest.Monke
     scene = scene_of(ELL, LEANING, clutter=300)  # votes for many poses
     group = [Instance(point_idx=np.arange(len(scene.boundary)), score=1.0)]
     judged: list[tuple[Floats, float]] = []
-    verify = module.verify
+    verify = hypothesis_scoring.verify
 
     searching = quick_estimator(ELL, replace(CONFIG, sure=1.0))
 
     def noted(T: Floats, edges: Any, *rest: Any) -> Any:
         verdict = verify(T, edges, *rest)
-        if edges is searching.appearances:  # all of them, as no nudged pose is looked at
-            judged.append((T, verdict.evidence))
+        if edges is searching.appearances:  # all of them, unlike for the score drop
+            judged.append((T, verdict.logit))
         return verdict
 
-    monkeypatch.setattr(module, "verify", noted)
+    monkeypatch.setattr(hypothesis_scoring, "verify", noted)
     (found,) = searching.estimate_groups(scene.boundary, group, scene.frame)
     assert found is not None
     quick = judged[:-1]
@@ -182,8 +184,8 @@ def test_the_margin_is_the_lead_over_poses_that_differ(monkeypatch: pytest.Monke
     far = [e for T, e in others if np.degrees(pose_error(T, found.T_cam_part, ELL).rotation) > 15.1]
     near = [e for T, e in judged if pose_error(T, found.T_cam_part, ELL).translation < 0.001]
     assert len(far) > 3
-    assert found.verdict.evidence == max(near)
-    assert found.margin == found.verdict.evidence - max(far) > 0
+    assert found.verdict.logit == max(near)
+    assert found.margin == found.verdict.logit - max(far) > 0
     alone = quick_estimator(ELL, replace(CONFIG, hypotheses=1, most_hypotheses=1))
     (only,) = alone.estimate_groups(scene.boundary, group, scene.frame)
     assert only is not None
@@ -191,11 +193,11 @@ def test_the_margin_is_the_lead_over_poses_that_differ(monkeypatch: pytest.Monke
 
 
 def test_the_score_is_the_confidence() -> None:
-    sureness = ConfidenceConfig(margin=0.7, firmness=0.3, size=0.4, bias=-8.0)
+    sureness = ConfidenceConfig(margin=0.7, score_drop=0.3, size=0.4, bias=-8.0)
     other = quick_estimator(ELL, replace(CONFIG, confidence=sureness))
     for found in (*groups_of(BOTH, other), *other.estimate_scene(SEEN.boundary, SEEN.frame)):
         assert found is not None
-        assert found.score == confidence(found.verdict, found.margin, found.firmness, found.size, sureness)
+        assert found.score == confidence(found.verdict, found.margin, found.score_drop, found.size, sureness)
     sizes = [len(one.point_idx) for one in BOTH.groups()]
     for found, size in zip(groups_of(BOTH, other), sizes, strict=True):
         assert found is not None
@@ -308,13 +310,13 @@ def test_a_moved_scene_moves_the_pose(seed: int) -> None:
 
 def test_as_many_hypotheses_are_refined_as_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[object] = []
-    refine = module.refine_edges
+    refine = hypothesis_scoring.refine_edges
 
     def counted(T: Floats, model: Any, boundary: Any, config: object) -> Any:
         asked.append(config)
         return refine(T, model, boundary, config)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(module, "refine_edges", counted)
+    monkeypatch.setattr(hypothesis_scoring, "refine_edges", counted)
     config = replace(CONFIG, hypotheses=2, most_hypotheses=5, finalists=2, scene_hypotheses=3, sure=1.0)
     scene = scene_of(ELL, LEANING, clutter=300)  # votes for many poses
     group = [Instance(point_idx=np.arange(len(scene.boundary)), score=1.0)]

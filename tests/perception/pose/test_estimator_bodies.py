@@ -1,4 +1,4 @@
-"""What cannot be is not found: blocks in each other, below the floor or in a wall; and how firmly a pose is held."""
+"""Impossible poses are not found: blocks in each other, below the floor or in a wall; and the score drop."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,9 +13,12 @@ from perception.geometry import Floats, make_transform, random_rotation, rotatio
 from perception.instance import Instance
 from perception.metrics.pose_error import pose_error
 from perception.pose import estimator as module
-from perception.pose.estimator import PoseEstimate, PoseEstimator
-from perception.pose.model.near_symmetry import TwinConfig, part_twins
+from perception.pose import hypothesis_scoring
+from perception.pose.estimator import PoseEstimator
+from perception.pose.hypothesis_scoring import HypothesisScorer, ScoredHypothesis
+from perception.pose.model.near_symmetry import NearSymmetryConfig, near_symmetries
 from perception.pose.model.surface_model import surface_model
+from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.bodies import BodyConfig
 from perception.pose.verification.confidence import confidence
 from tests.perception.pose import observed_part as at
@@ -118,13 +121,13 @@ def test_a_refinement_that_leads_below_the_floor_is_not_followed(monkeypatch: py
     """The first, rough refinement stays; the last one, here off by 20 mm, is left."""
     scene = scene_of(ELL, LEANING)
     known = within(bin_with_floor_at(lowest(LEANING) + 0.001))
-    refined = known.refined
+    refine_fully = HypothesisScorer.refine_fully
 
-    def led_astray(T: Floats, group: Any, seen: Any, *, final: bool) -> Any:
-        look = refined(T, group, seen, final=final)
-        return replace(look, T=shifted(look.T, z=0.02)) if final else look
+    def led_astray(scorer: HypothesisScorer, T: Floats) -> ScoredHypothesis:
+        refined = refine_fully(scorer, T)
+        return replace(refined, T_cam_part=shifted(refined.T_cam_part, z=0.02))
 
-    monkeypatch.setattr(known, "refined", led_astray)
+    monkeypatch.setattr(HypothesisScorer, "refine_fully", led_astray)
     (found,) = groups_of(scene, known)
     assert found is not None
     assert pose_error(found.T_cam_part, LEANING, ELL).translation < 0.002
@@ -164,7 +167,7 @@ def test_of_two_poses_that_share_room_the_surer_stands_and_the_other_group_gets_
     assert is_at(second, DEEP[1])
     assert first is not None
     assert not ESTIMATOR.clash(first.T_cam_part, DEEP[1])
-    assert first.verdict.evidence < alone[0].verdict.evidence  # type: ignore[union-attr]
+    assert first.verdict.logit < alone[0].verdict.logit  # type: ignore[union-attr]
     assert first.instance_idx == 0
 
 
@@ -235,42 +238,42 @@ def test_another_least_score_may_be_asked_for() -> None:
     assert ESTIMATOR.verified(estimates, 0.61) == []
 
 
-# Firmness and the first look
+# Score drop and coarse refinement
 
 
-def test_how_firmly_a_pose_is_held_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    sureness = replace(CONFIG.confidence, firmness=0.5, clear=2.0)
+def test_the_score_drop_under_perturbation_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    sureness = replace(CONFIG.confidence, score_drop=0.5, clear=2.0)
     judging = quick_estimator(ELL, replace(CONFIG, confidence=sureness))
     asked: list[Floats] = []
 
-    def held(T: Floats, turns: Floats, evidence: Callable[[Floats], float]) -> float:
-        falls = [evidence(T) - evidence(T @ turn) for turn in turns]
-        assert len(falls) == 6
-        assert min(falls) > 1  # all of the block is seen
+    def noted(T: Floats, perturbations: Floats, logit: Callable[[Floats], float]) -> float:
+        drops = [logit(T) - logit(T @ motion) for motion in perturbations]
+        assert len(drops) == 6
+        assert min(drops) > 1  # all of the block is visible
         asked.append(T)
         return 1.25
 
-    monkeypatch.setattr(module, "firmness", held)
+    monkeypatch.setattr(hypothesis_scoring, "score_drop", noted)
     scene = scene_of(ELL, LEANING)
     for found in (*groups_of(scene, judging), *judging.estimate_scene(scene.boundary, turned_world(scene))[:1]):
         assert found is not None
-        assert found.firmness == 1.25
+        assert found.score_drop == 1.25
         assert any(np.array_equal(found.T_cam_part, T) for T in asked)
         assert found.score == confidence(found.verdict, found.margin, 1.25, found.size, sureness)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_pose_is_held_less_firmly_when_half_is_hidden(seed: int) -> None:
+def test_the_score_drops_less_when_half_is_occluded(seed: int) -> None:
     T = at.random_pose(ELL, np.random.default_rng(seed))
     (whole,), (half,) = groups_of(scene_of(ELL, T)), groups_of(scene_of(ELL, T, hiders=[PLATE]))
     assert whole is not None
     assert half is not None
-    assert 0 < half.firmness < whole.firmness < np.inf
+    assert 0 < half.score_drop < whole.score_drop < np.inf
 
 
-def test_the_first_look_is_at_fewer_points(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_coarse_refinement_uses_fewer_points(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[int, float, bool]] = []
-    refine_edges, refine_surface = module.refine_edges, module.refine_surface
+    refine_edges, refine_surface = hypothesis_scoring.refine_edges, hypothesis_scoring.refine_surface
 
     def edges(T: Floats, model: Any, boundary: Any, config: Any) -> Any:
         asked.append((len(model.points), 0.0, config is looking.config.quick_edges))
@@ -280,8 +283,8 @@ def test_the_first_look_is_at_fewer_points(monkeypatch: pytest.MonkeyPatch) -> N
         asked.append((0, model.spacing, config is looking.config.quick_surface))
         return refine_surface(T, model, frame, config)
 
-    monkeypatch.setattr(module, "refine_edges", edges)
-    monkeypatch.setattr(module, "refine_surface", surface)
+    monkeypatch.setattr(hypothesis_scoring, "refine_edges", edges)
+    monkeypatch.setattr(hypothesis_scoring, "refine_surface", surface)
     looking = quick_estimator(ELL, replace(CONFIG, quick_step=3, quick_spacing=0.1, hypotheses=1, most_hypotheses=1))
     groups_of(scene_of(ELL, LEANING), looking)
     few, all_of_them = len(looking.appearances.every(3).points), len(looking.appearances.points)
@@ -289,7 +292,7 @@ def test_the_first_look_is_at_fewer_points(monkeypatch: pytest.MonkeyPatch) -> N
     assert asked[2:4] == [(all_of_them, 0.0, False), (0, pytest.approx(0.03 * ELL.d_max), False)]
 
 
-def test_a_first_look_that_leads_nowhere_is_refused() -> None:
+def test_nonsense_in_the_coarse_refinement_is_refused() -> None:
     with pytest.raises(ValueError, match="quick_step must be at least 1, got 0"):
         replace(CONFIG, quick_step=0)
     with pytest.raises(ValueError, match="spacing must be between 0 and 1, got 0"):
@@ -305,23 +308,23 @@ def test_poses_beside_each_other_keep_their_bits_in_another_world() -> None:
         assert one is not None
         assert other is not None
         assert one.T_cam_part.tobytes() == other.T_cam_part.tobytes()
-        assert (one.score, one.firmness) == (other.score, other.firmness)
+        assert (one.score, one.score_drop) == (other.score, other.score_drop)
 
 
-def test_a_pose_that_was_ruled_out_does_not_come_back_as_the_twin_of_the_next_best() -> None:
+def test_a_pose_that_was_ruled_out_does_not_come_back_as_near_symmetric_to_the_next_best() -> None:
     scene = scene_of(ELL, *DEEP)
-    every_twin = quick_estimator(ELL, replace(CONFIG, twins=TwinConfig(lead=50.0)))
-    first, second = groups_of(scene, every_twin)
+    every_near_symmetry = quick_estimator(ELL, replace(CONFIG, near_symmetry=NearSymmetryConfig(lead=50.0)))
+    first, second = groups_of(scene, every_near_symmetry)
     assert is_at(second, DEEP[1])
-    assert first is None or not every_twin.clash(first.T_cam_part, DEEP[1])
-    assert len(every_twin.estimate(scene.boundary, scene.groups(), turned_world(scene))) == 2
+    assert first is None or not every_near_symmetry.clash(first.T_cam_part, DEEP[1])
+    assert len(every_near_symmetry.estimate(scene.boundary, scene.groups(), turned_world(scene))) == 2
 
 
 @pytest.mark.parametrize(("most", "found"), [(3, True), (0, False)])
-def test_the_twin_of_a_pose_is_looked_at(most: int, found: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    twin = part_twins(ELL, surface_model(ELL))[0]
-    estimator = quick_estimator(ELL, replace(CONFIG, twins=TwinConfig(most=most, lead=50.0)))
-    # All that the votes give is the twin of the truth.
-    monkeypatch.setattr(estimator, "_heads", lambda raw: (LEANING @ np.linalg.inv(twin))[None])
+def test_the_near_symmetric_pose_is_tried(most: int, found: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    motion = near_symmetries(ELL, surface_model(ELL))[0]
+    estimator = quick_estimator(ELL, replace(CONFIG, near_symmetry=NearSymmetryConfig(most=most, lead=50.0)))
+    # The votes give nothing but the pose that is near-symmetric to the truth.
+    monkeypatch.setattr(estimator, "_hypotheses", lambda group, count: (LEANING @ np.linalg.inv(motion))[None])
     scene = scene_of(ELL, LEANING)
     assert is_at(groups_of(scene, estimator)[0], LEANING) == found

@@ -13,7 +13,7 @@ from perception.pose.verification.confidence import ConfidenceConfig, coefficien
 from tests.binpick_env.evaluation.pose.pose_records import bracket, estimates, moved, record
 
 TRUTH = ConfidenceConfig(
-    bias=-2.0, edge_score=3.0, support=-1.0, violation=-2.0, margin=1.5, firmness=0.8, size=0.4, clear=3.0
+    bias=-2.0, edge_score=3.0, support=-1.0, violation=-2.0, margin=1.5, score_drop=0.8, size=0.4, clear=3.0
 )
 
 
@@ -49,7 +49,7 @@ def test_one_kind_alone_is_refused(right: bool) -> None:
 
 
 def test_operating_points_by_hand() -> None:
-    nothing = dict.fromkeys(("bias", "support", "violation", "margin", "firmness", "size"), 0.0)
+    nothing = dict.fromkeys(("bias", "support", "violation", "margin", "score_drop", "size"), 0.0)
     config = replace(TRUTH, edge_score=1.0, **nothing)
     predictors = np.ones((4, 6))
     predictors[:, 0] = (-2.0, -1.0, 1.0, 2.0)  # scores .12, .27, .73, .88
@@ -67,7 +67,7 @@ def test_records_are_read_with_their_truth(tmp_path: Path) -> None:
     poses = np.stack([true[0], moved(true[1], degrees=20.0), true[2]])
     verdicts = np.tile(np.arange(len(EVIDENCE)) / 10, (3, 1))
     verdicts[:, EVIDENCE.index("margin")] = (np.inf, -9.0, 0.5)
-    verdicts[:, EVIDENCE.index("firmness")] = (-4.0, np.inf, 0.25)
+    verdicts[:, EVIDENCE.index("score_drop")] = (-4.0, np.inf, 0.25)
     verdicts[:, EVIDENCE.index("size")] = (1.0, np.e, 100.0)
     changes = estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2]) | {"verdicts": verdicts}
     record(**changes).save(record_path(tmp_path, 0))

@@ -26,9 +26,9 @@ from perception.boundary import BoundaryCloud
 from perception.frame import Frame
 from perception.instance import Instance
 from perception.part import PartModel
-from perception.pose.estimator import PoseEstimate
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.model.surface_model import surface_model
+from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.verification import Verdict
 from perception.runtime.records import RecordError
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
@@ -38,7 +38,7 @@ from perception.segmentation.weights import save_network
 from tests.binpick_env.evaluation.pose.pose_records import record
 
 SCENES = SceneConfig(part="tee", seed=31, num_parts=(4, 5), camera=CameraConfig(width=640, height=480))
-VERDICT = Verdict(edge_score=0.1, explained=0.2, support=0.3, violation=0.4, measured=0.5, evidence=0.7)
+VERDICT = Verdict(edge_score=0.1, explained=0.2, support=0.3, violation=0.4, measured=0.5, logit=0.7)
 
 
 @lru_cache
@@ -83,7 +83,7 @@ class Teller:
             visible_fraction=0.6,
             verdict=VERDICT,
             margin=1.0,
-            firmness=2.0,
+            score_drop=2.0,
             size=50,
         )
 

@@ -13,7 +13,7 @@ from perception.part import Symmetry, diameter
 from perception.pose.hypotheses._kernels import accumulate, vote_references
 from perception.pose.hypotheses.voting import RawPoses, VoteConfig, reference_points, vote
 from perception.pose.model._pair_kernels import tangent_frames
-from perception.pose.model.pair_features import WEIGHT_ONE, PairConfig, build_table, unit
+from perception.pose.model.pair_features import WEIGHT_ONE, PairConfig, unit
 from tests.perception.pose.bracket_scene import (
     BRACKET,
     EVERY,
@@ -26,6 +26,7 @@ from tests.perception.pose.bracket_scene import (
     sample,
     share_right,
 )
+from tests.perception.pose.pair_tables import table_of
 from tests.reference import voting_twin
 
 
@@ -63,7 +64,7 @@ def test_votes_are_those_of_plain_loops(seed, squared, noise, bins, signs):
         distance_step=0.1, distance_noise=noise * 0.1, angle_noise=noise * math.radians(12), signs=signs
     )
     visibility = np.arange(1, 15).astype(np.uint32)
-    table = build_table(model, model_tangents, visibility, 1.0, config)
+    table = table_of(model, model_tangents, visibility, 1.0, config)
     grid = config.grid(1.0)
     frames = tangent_frames(unit(model_tangents))
     entries = voting_twin.table(model, unit(model_tangents), frames, visibility, grid, signs)
@@ -77,7 +78,7 @@ def test_votes_are_those_of_plain_loops(seed, squared, noise, bins, signs):
 def test_the_best_pose_is_that_of_the_twins_highest_smoothed_votes(seed):
     model, model_tangents, _, _ = small_case(seed, False)
     points, tangents = transform_points(make_transform(rotation_about([1, 2, 3], 0.7)), model), model_tangents[::-1]
-    table = build_table(model, model_tangents, np.ones(14, np.uint32), 1.0)
+    table = table_of(model, model_tangents, np.ones(14, np.uint32), 1.0)
     grid = table.grid
     entries = voting_twin.table(model, model_tangents, tangent_frames(model_tangents), np.ones(14), grid)
     tangents = unit(tangents)
@@ -143,8 +144,8 @@ def test_a_scaled_scene_gives_scaled_poses():
     points, tangents, _, _ = bracket_scene(np.random.default_rng(9))
     model, model_tangents = sample(BRACKET, STEP * D)
     seen = np.ones(len(model), np.uint32)
-    raw = vote(build_table(model, model_tangents, seen, D), points, tangents)
-    large = vote(build_table(8 * model, model_tangents, seen, 8 * D), 8 * points, tangents)
+    raw = vote(table_of(model, model_tangents, seen, D), points, tangents)
+    large = vote(table_of(8 * model, model_tangents, seen, 8 * D), 8 * points, tangents)
     np.testing.assert_array_equal(raw.votes, large.votes)
     np.testing.assert_array_equal(raw.reference, large.reference)
     np.testing.assert_array_equal(raw.T_cam_part[:, :3, :3], large.T_cam_part[:, :3, :3])
@@ -186,8 +187,8 @@ def test_a_solid_of_revolution_gathers_the_votes_of_its_circles():
     model, model_tangents, points, tangents, T_cam_part = rings_scene(np.random.default_rng(11))
     spin, centre = Symmetry(axis=np.array([0.0, 0, 1])), np.array([0, 0, 0.02])
     seen, size = np.ones(len(model), np.uint32), diameter(model)
-    merged = build_table(model, model_tangents, seen, size, symmetry=spin, centre=centre)
-    split = build_table(model, model_tangents, seen, size)
+    merged = table_of(model, model_tangents, seen, size, symmetry=spin, centre=centre)
+    split = table_of(model, model_tangents, seen, size)
     assert len(merged.points) == 3
     assert len(merged.entries) < 0.2 * len(split.entries)
     raw = vote(merged, points, tangents, np.arange(len(points)), EVERY)
@@ -202,7 +203,7 @@ def test_a_declared_half_turn_halves_the_rows_and_finds_the_pose():
     model, model_tangents = sample(edges, 0.0025)
     pair = Symmetry(rotations=np.stack([np.eye(3), turn]))
     size = diameter(edges.reshape(-1, 3))
-    table = build_table(model, model_tangents, np.ones(len(model), np.uint32), size, symmetry=pair, centre=np.zeros(3))
+    table = table_of(model, model_tangents, np.ones(len(model), np.uint32), size, symmetry=pair, centre=np.zeros(3))
     assert len(table.points) == len(model) // 2
     T_cam_part = make_transform(random_rotation(np.random.default_rng(12)), [0, 0.1, 0.7])
     points, tangents = transform_points(T_cam_part, model), model_tangents @ T_cam_part[:3, :3].T
@@ -217,7 +218,7 @@ def test_equally_good_second_poses_are_kept_and_lesser_ones_are_not():
     square = np.array([(x, y, 0.0) for x, y in ((0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1))])
     edges = np.stack([square, np.roll(square, -1, axis=0)], axis=1)
     model, tangents = sample(edges, 0.004)
-    table = build_table(model, tangents, np.ones(len(model), np.uint32), 0.1 * math.sqrt(2))
+    table = table_of(model, tangents, np.ones(len(model), np.uint32), 0.1 * math.sqrt(2))
     references = np.arange(0, len(model), 9)
     raw = vote(table, model, tangents, references, EVERY)
     found, counts = np.unique(raw.reference, return_counts=True)
@@ -237,8 +238,8 @@ def test_views_that_exclude_each_other_leave_no_votes():
     model, tangents = sample(BRACKET, 3 * STEP * D)
     apart = (np.uint32(1) << np.arange(len(model), dtype=np.uint32) % np.uint32(32)).astype(np.uint32)[:32]
     model, tangents = model[:32], tangents[:32]
-    assert len(vote(build_table(model, tangents, apart, D), model, tangents)) == 0
-    assert len(vote(build_table(model, tangents, apart, D, PairConfig(same_view=False)), model, tangents)) > 0
+    assert len(vote(table_of(model, tangents, apart, D), model, tangents)) == 0
+    assert len(vote(table_of(model, tangents, apart, D, PairConfig(same_view=False)), model, tangents)) > 0
 
 
 def test_poses_are_sorted_and_cut_and_repeat_bit_by_bit():
@@ -294,7 +295,7 @@ def test_coincident_points_empty_tables_and_far_points_give_no_pose():
     assert len(vote(bracket_table(), points, tangents)) == 0
     far = np.arange(5)[:, None] * [10.0, 0, 0]
     assert len(vote(bracket_table(), far, tangents)) == 0
-    empty = build_table(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.uint32), D)
+    empty = table_of(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.uint32), D)
     assert len(vote(empty, *sample(BRACKET, 0.01))) == 0
     assert len(vote(bracket_table(), *sample(BRACKET, 0.01), references=np.zeros(0, np.int64))) == 0
 

@@ -1,4 +1,4 @@
-"""The turns after which a part looks nearly the same."""
+"""The motions after which a part looks nearly the same."""
 
 from itertools import pairwise
 
@@ -8,7 +8,7 @@ import trimesh
 
 from perception.geometry import Floats, make_transform, rotation_about, rotation_angle
 from perception.part import PartModel, Symmetry
-from perception.pose.model.near_symmetry import TwinConfig, part_twins
+from perception.pose.model.near_symmetry import NearSymmetryConfig, near_symmetries
 from perception.pose.model.surface_model import surface_model
 
 
@@ -28,20 +28,20 @@ def half_turns() -> Symmetry:
     return Symmetry(rotations=np.array([np.diag(d) for d in ([1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1])], float))
 
 
-def test_a_block_with_a_lump_has_its_half_turns_for_twins() -> None:
+def test_a_block_with_a_lump_has_its_half_turns_for_near_symmetries() -> None:
     part = block(0.08, 0.05, 0.03, cut=0.006)
-    twins = part_twins(part, surface_model(part))
-    assert len(twins) == 3
-    for T in twins:
+    found = near_symmetries(part, surface_model(part))
+    assert len(found) == 3
+    for T in found:
         assert np.degrees(rotation_angle(T[:3, :3])) == pytest.approx(180, abs=5)
         axis = np.abs(np.linalg.eigh(T[:3, :3] + T[:3, :3].T)[1][:, -1])
         assert axis.max() > 0.99  # the block's own axes
 
 
-def test_twins_lay_the_surface_on_itself() -> None:
+def test_near_symmetries_lay_the_surface_on_itself() -> None:
     part = block(0.08, 0.05, 0.03, cut=0.006)
     surface = surface_model(part)
-    for T in part_twins(part, surface):
+    for T in near_symmetries(part, surface):
         moved = surface.points @ T[:3, :3].T + T[:3, 3]
         _, distances, _ = trimesh.proximity.closest_point_naive(part.mesh, moved[::7])
         assert distances.mean() < 0.01 * part.d_max
@@ -54,10 +54,10 @@ def gap(part: PartModel, T: Floats) -> float:
     return float(trimesh.proximity.closest_point_naive(part.mesh, moved[::3])[1].mean())
 
 
-def test_a_twin_lies_better_than_the_turn_it_began_as() -> None:
+def test_a_registered_motion_lies_better_than_the_rotation_it_began_as() -> None:
     part = block(0.08, 0.05, 0.03, cut=0.016)  # its lump draws the centre aside
     axes = np.asarray(part.mesh.principal_inertia_vectors)
-    for T in part_twins(part, surface_model(part)):
+    for T in near_symmetries(part, surface_model(part)):
         turns = [rotation_about(axis, np.pi) for axis in axes]
         turn = min(turns, key=lambda turn: rotation_angle(turn.T @ T[:3, :3]))
         assert gap(part, T) < 0.95 * gap(part, make_transform(turn, part.centre - turn @ part.centre))
@@ -65,33 +65,33 @@ def test_a_twin_lies_better_than_the_turn_it_began_as() -> None:
 
 def test_the_most_alike_come_first() -> None:
     part = block(0.08, 0.05, 0.047, cut=0.012)
-    gaps = [gap(part, T) for T in part_twins(part, surface_model(part), TwinConfig(most=8, distance=0.1))]
+    gaps = [gap(part, T) for T in near_symmetries(part, surface_model(part), NearSymmetryConfig(most=8, distance=0.1))]
     assert len(gaps) > 3
     assert gaps[-1] > 1.2 * gaps[0]
     assert all(after > 0.9 * before for before, after in pairwise(gaps))
 
 
-def test_symmetries_are_no_twins() -> None:
+def test_symmetries_are_no_near_symmetries() -> None:
     part = block(0.08, 0.05, 0.03, symmetry=half_turns())
-    assert len(part_twins(part, surface_model(part))) == 0
+    assert len(near_symmetries(part, surface_model(part))) == 0
 
 
-def test_without_its_symmetry_declared_a_block_is_its_own_twin() -> None:
+def test_undeclared_symmetries_are_near_symmetries() -> None:
     part = block(0.08, 0.05, 0.03)
-    assert len(part_twins(part, surface_model(part))) == 3
+    assert len(near_symmetries(part, surface_model(part))) == 3
 
 
-def test_as_many_twins_as_are_asked_for_the_most_alike_first() -> None:
+def test_as_many_near_symmetries_as_are_asked_for_the_closest_first() -> None:
     part = block(0.08, 0.05, 0.03, cut=0.006)
     surface = surface_model(part)
-    every = part_twins(part, surface)
-    np.testing.assert_array_equal(part_twins(part, surface, TwinConfig(most=2)), every[:2])
-    assert part_twins(part, surface, TwinConfig(most=0)).shape == (0, 4, 4)
+    every = near_symmetries(part, surface)
+    np.testing.assert_array_equal(near_symmetries(part, surface, NearSymmetryConfig(most=2)), every[:2])
+    assert near_symmetries(part, surface, NearSymmetryConfig(most=0)).shape == (0, 4, 4)
 
 
-def test_what_looks_like_nothing_else_has_no_twin() -> None:
+def test_a_part_that_looks_different_from_every_side_has_none() -> None:
     part = block(0.08, 0.05, 0.03, cut=0.006)
-    assert len(part_twins(part, surface_model(part), TwinConfig(distance=1e-4))) == 0
+    assert len(near_symmetries(part, surface_model(part), NearSymmetryConfig(distance=1e-4))) == 0
 
 
 @pytest.mark.parametrize(
@@ -104,4 +104,4 @@ def test_what_looks_like_nothing_else_has_no_twin() -> None:
 )
 def test_nonsense_is_refused(change: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        TwinConfig(**change)  # type: ignore[arg-type]
+        NearSymmetryConfig(**change)  # type: ignore[arg-type]

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from perception.geometry import matrix_from_quat, random_rotation, rotation_about
 from perception.part import Symmetry
 from perception.pose.model._pair_kernels import tangent_frames
-from perception.pose.model.pair_features import WEIGHT_ONE, PairConfig, build_table, unit
+from perception.pose.model.pair_features import WEIGHT_ONE, PairConfig, unit
+from tests.perception.pose.pair_tables import table_of
 from tests.reference import voting_twin
 
 COARSE = PairConfig(distance_step=0.1, angle_step=math.radians(15), nearest=0.0, collinear=0.0)
@@ -43,7 +44,7 @@ def test_one_pair_lies_in_the_cells_worked_by_hand():
     points = np.array([[0.0, 0, 0], [0.55, 0, 0]])
     tangents = np.array([[math.cos(r), math.sin(r), 0], [math.cos(i), 0, math.sin(i)]])
     between = math.degrees(math.acos(-math.cos(r) * math.cos(i)))
-    table = build_table(points, tangents, all_seen(points), 1.0, COARSE)
+    table = table_of(points, tangents, all_seen(points), 1.0, COARSE)
     cells = cells_of(table)
     f4 = int(between // 15)
     assert set(cells) == {(5, 2, 5, f4), (5, 5, 2, f4)}
@@ -59,8 +60,8 @@ def test_one_pair_lies_in_the_cells_worked_by_hand():
 def test_negated_tangents_keep_their_cells_and_change_the_sign_bit():
     points, tangents = random_edges(np.random.default_rng(0), 20)
     signs = np.where(np.arange(20) % 2, -1.0, 1.0)[:, None]
-    one = cells_of(build_table(points, tangents, all_seen(points), 1.0, COARSE))
-    other = cells_of(build_table(points, tangents * signs, all_seen(points), 1.0, COARSE))
+    one = cells_of(table_of(points, tangents, all_seen(points), 1.0, COARSE))
+    other = cells_of(table_of(points, tangents * signs, all_seen(points), 1.0, COARSE))
     assert set(one) == set(other)
     for key, entries in one.items():
         assert {(m, sign ^ (m % 2)) for m, sign, _ in entries} == {(m, sign) for m, sign, _ in other[key]}
@@ -69,7 +70,7 @@ def test_negated_tangents_keep_their_cells_and_change_the_sign_bit():
 def test_without_the_flip_bit_signs_of_tangents_leave_cells_but_not_angles():
     points, tangents = random_edges(np.random.default_rng(8), 12)
     safe, no_flip = (
-        cells_of(build_table(points, tangents, all_seen(points), 1.0, replace(COARSE, signs=signs)))
+        cells_of(table_of(points, tangents, all_seen(points), 1.0, replace(COARSE, signs=signs)))
         for signs in ("safe", "no_flip")
     )
     assert set(safe) == set(no_flip)
@@ -87,9 +88,9 @@ def test_raw_signs_put_a_negated_tangent_into_the_supplementary_cells():
     between = math.degrees(math.acos(math.cos(r) * math.cos(i)))
     raw = replace(COARSE, signs="raw")
     # Seen from i, d points the other way: 80 and 140 deg.
-    cells = cells_of(build_table(points, tangents, all_seen(points), 1.0, raw))
+    cells = cells_of(table_of(points, tangents, all_seen(points), 1.0, raw))
     assert set(cells) == {(5, 2, 6, int(between // 15)), (5, 5, 9, int(between // 15))}
-    negated = cells_of(build_table(points, tangents * [[-1.0], [1.0]], all_seen(points), 1.0, raw))
+    negated = cells_of(table_of(points, tangents * [[-1.0], [1.0]], all_seen(points), 1.0, raw))
     assert set(negated) == {(5, 9, 6, int((180 - between) // 15)), (5, 5, 2, int((180 - between) // 15))}
     assert {sign for entries in (*cells.values(), *negated.values()) for _, sign, _ in entries} == {0}
 
@@ -109,7 +110,7 @@ def test_the_table_is_that_of_plain_loops(seed, squared, angle_step, distance_st
         points, tangents = rng.integers(-1, 2, (16, 3)) * 0.28, np.eye(3)[rng.integers(0, 3, 16)]
     visibility = rng.integers(0, 8, 16).astype(np.uint32)
     config = PairConfig(distance_step=distance_step, angle_step=math.radians(angle_step), signs=signs)
-    table = build_table(points, tangents, visibility, 1.0, config)
+    table = table_of(points, tangents, visibility, 1.0, config)
     tangents = unit(tangents)
     expected = voting_twin.table(points, tangents, tangent_frames(tangents), visibility, config.grid(1.0), signs)
     assert cells_of(table) == expected
@@ -118,18 +119,18 @@ def test_the_table_is_that_of_plain_loops(seed, squared, angle_step, distance_st
 def test_points_never_seen_together_are_no_pair_unless_asked_for():
     points, tangents = random_edges(np.random.default_rng(1), 12)
     views = np.where(np.arange(12) < 6, 1, 2).astype(np.uint32)
-    halves = build_table(points, tangents, views, 1.0, COARSE)
-    whole = build_table(points, tangents, views, 1.0, PairConfig(**{**vars(COARSE), "same_view": False}))
+    halves = table_of(points, tangents, views, 1.0, COARSE)
+    whole = table_of(points, tangents, views, 1.0, PairConfig(**{**vars(COARSE), "same_view": False}))
     assert len(whole.entries) == 12 * 11
     assert len(halves.entries) == 2 * 6 * 5
     both = views | 4
-    np.testing.assert_array_equal(build_table(points, tangents, both, 1.0, COARSE).entries, whole.entries)
+    np.testing.assert_array_equal(table_of(points, tangents, both, 1.0, COARSE).entries, whole.entries)
 
 
 def test_a_scaled_part_has_the_same_table():
     points, tangents = random_edges(np.random.default_rng(2), 30)
-    one = build_table(points, tangents, all_seen(points), 1.0)
-    large = build_table(4 * points, 0.5 * tangents, all_seen(points), 4.0)
+    one = table_of(points, tangents, all_seen(points), 1.0)
+    large = table_of(4 * points, 0.5 * tangents, all_seen(points), 4.0)
     np.testing.assert_array_equal(one.offsets, large.offsets)
     np.testing.assert_array_equal(one.entries, large.entries)
     np.testing.assert_array_equal(4 * one.points, large.points)
@@ -157,19 +158,19 @@ def test_a_circle_about_the_axis_is_one_row_with_the_pairs_of_its_head():
     turn, offset = random_rotation(np.random.default_rng(3)), np.array([0.3, -0.2, 0.1])
     points, tangents = points @ turn.T + offset, (tangents * signs) @ turn.T
     spin = Symmetry(axis=turn @ [0.0, 0, 1])
-    table = build_table(points, tangents, all_seen(points), 1.0, symmetry=spin, centre=offset)
+    table = table_of(points, tangents, all_seen(points), 1.0, symmetry=spin, centre=offset)
     np.testing.assert_array_equal(table.rows, np.zeros(24))
     assert table.points.shape == (1, 3)
     # Up to rounding of angles to 1/256 turn, the 24 points have the same 23 pairs.
     assert len(table.entries) <= 3 * 23
-    assert len(build_table(points, tangents, all_seen(points), 1.0).entries) > 12 * 20
+    assert len(table_of(points, tangents, all_seen(points), 1.0).entries) > 12 * 20
 
 
 def test_rows_are_told_apart_by_height_radius_and_tangent():
     rings = [circle(0.4, 0.0, 8), circle(0.4, 0.2, 8), circle(0.3, 0.0, 8, phase=0.1)]
     upright = (rings[0][0], np.tile([0.0, 0, 1], (8, 1)))
     points, tangents = (np.concatenate(x) for x in zip(*rings, upright, strict=True))
-    table = build_table(points, tangents, all_seen(points), 1.0, symmetry=Symmetry(axis=np.array([0, 0, 1.0])))
+    table = table_of(points, tangents, all_seen(points), 1.0, symmetry=Symmetry(axis=np.array([0, 0, 1.0])))
     np.testing.assert_array_equal(table.rows, np.repeat(np.arange(4), 8))
 
 
@@ -177,7 +178,7 @@ def test_both_ends_of_a_turned_part_share_rows_where_it_can_be_swapped():
     points, tangents = (np.concatenate(x) for x in zip(circle(0.4, 0.2, 9), circle(0.4, -0.2, 9, 0.2), strict=True))
     swap = np.stack([np.eye(3), np.diag([1.0, -1, -1])])
     axis = np.array([0, 0, 1.0])
-    table = build_table(
+    table = table_of(
         points, tangents, all_seen(points), 1.0, symmetry=Symmetry(rotations=swap, axis=axis), centre=np.zeros(3)
     )
     assert set(table.rows) == {0}
@@ -187,7 +188,7 @@ def test_points_on_the_axis_are_grouped_by_their_tangent():
     axis = np.array([0, 0, 1.0])
     points = np.array([[0, 0, 0.0], [0.001, 0, 0.0], [0, 0, 0.0], [0.3, 0, 0]])
     tangents = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0]])
-    table = build_table(points, tangents, all_seen(points), 1.0, symmetry=Symmetry(axis=axis), centre=np.zeros(3))
+    table = table_of(points, tangents, all_seen(points), 1.0, symmetry=Symmetry(axis=axis), centre=np.zeros(3))
     np.testing.assert_array_equal(table.rows, [0, 0, 1, 2])
 
 
@@ -197,10 +198,10 @@ def test_finite_symmetry_merges_the_points_it_swaps():
     turn = rotation_about([0, 0, 1], np.pi)
     points, tangents = np.concatenate([half, half @ turn.T]), np.concatenate([tangents, -tangents @ turn.T])
     pair = Symmetry(rotations=np.stack([np.eye(3), turn]))
-    table = build_table(points, tangents, all_seen(points), 1.0, symmetry=pair, centre=np.zeros(3))
+    table = table_of(points, tangents, all_seen(points), 1.0, symmetry=pair, centre=np.zeros(3))
     np.testing.assert_array_equal(table.rows, np.tile(np.arange(10), 2))
     # Each of the 10 heads keeps its own pairs only: those of its partner are the same, but for rounded angles.
-    alone = build_table(points, tangents, all_seen(points), 1.0)
+    alone = table_of(points, tangents, all_seen(points), 1.0)
     assert len(table.entries) < 0.6 * len(alone.entries)
 
 
@@ -210,7 +211,7 @@ def test_weights_by_hand():
     points[:, 0] = np.arange(6) * 0.15
     tangents = np.tile([0.0, 1, 0], (6, 1))
     tables = {
-        weighting: build_table(points, tangents, all_seen(points), 1.0, PairConfig(weighting=weighting, weight_cap=1.0))
+        weighting: table_of(points, tangents, all_seen(points), 1.0, PairConfig(weighting=weighting, weight_cap=1.0))
         for weighting in ("none", "capped", "inverse")
     }
     counts = np.diff(tables["none"].offsets)
@@ -225,28 +226,28 @@ def test_weights_by_hand():
 def test_points_without_a_direction_are_dropped_and_others_keep_their_rows():
     points, tangents = random_edges(np.random.default_rng(6), 8)
     tangents[2], tangents[5, 1], points[6, 0] = 0.0, np.nan, np.inf
-    table = build_table(points, tangents, all_seen(points), 1.0)
+    table = table_of(points, tangents, all_seen(points), 1.0)
     np.testing.assert_array_equal(table.rows, [0, 1, -1, 2, 3, -1, -1, 4])
     kept = [0, 1, 3, 4, 7]
-    expected = build_table(points[kept], tangents[kept], all_seen(kept), 1.0)
+    expected = table_of(points[kept], tangents[kept], all_seen(kept), 1.0)
     np.testing.assert_array_equal(table.entries, expected.entries)
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_fewer_than_two_points_make_an_empty_table(count):
-    table = build_table(np.zeros((count, 3)), np.ones((count, 3)), all_seen(range(count)), 1.0)
+    table = table_of(np.zeros((count, 3)), np.ones((count, 3)), all_seen(range(count)), 1.0)
     assert len(table.entries) == 0
     assert len(table.points) == count
 
 
 def test_coincident_points_are_no_pair():
-    table = build_table(np.zeros((3, 3)), np.eye(3), all_seen(range(3)), 1.0, COARSE)
+    table = table_of(np.zeros((3, 3)), np.eye(3), all_seen(range(3)), 1.0, COARSE)
     assert len(table.entries) == 0
 
 
 def test_the_same_input_gives_the_same_table():
     points, tangents = random_edges(np.random.default_rng(7), 40)
-    one, other = (build_table(points, tangents, all_seen(points), 1.0) for _ in range(2))
+    one, other = (table_of(points, tangents, all_seen(points), 1.0) for _ in range(2))
     np.testing.assert_array_equal(one.entries, other.entries)
     np.testing.assert_array_equal(one.offsets, other.offsets)
 
@@ -289,4 +290,4 @@ def test_build_table_rejects_nonsense(name, value, text):
     arguments = {"points": np.zeros((4, 3)), "tangents": np.ones((4, 3)), "visibility": all_seen(range(4))}
     arguments["d_max"] = 1.0
     with pytest.raises(ValueError, match=text):
-        build_table(**{**arguments, name: value})
+        table_of(**{**arguments, name: value})

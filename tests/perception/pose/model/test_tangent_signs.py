@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from perception.pose.hypotheses.voting import RawPoses, vote
-from perception.pose.model.pair_features import PairConfig, build_table
+from perception.pose.model.pair_features import PairConfig
 from tests.perception.pose.bracket_scene import (
     BRACKET,
     EVERY,
@@ -16,6 +16,7 @@ from tests.perception.pose.bracket_scene import (
     sample,
     share_right,
 )
+from tests.perception.pose.pair_tables import table_of
 
 
 def test_the_signs_of_tangents_change_nothing_beyond_a_bin():
@@ -43,7 +44,7 @@ def test_a_model_with_negated_tangents_finds_the_same():
     points, tangents, T_cam_part, _ = bracket_scene(np.random.default_rng(7))
     model, model_tangents = sample(BRACKET, STEP * D)
     model_tangents[::2] *= -1
-    table = build_table(model, model_tangents, np.ones(len(model), np.uint32), D)
+    table = table_of(model, model_tangents, np.ones(len(model), np.uint32), D)
     references = np.arange(0, len(points), 10)
     assert share_right(vote(table, points, tangents, references, EVERY), T_cam_part, references) >= 0.95
 

@@ -1,43 +1,50 @@
-"""Poses that share room, by hand: points on a line, of which two that are too near each other clash."""
+"""Poses that collide, by hand: points on a line, of which two that are too near each other collide."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from perception.geometry import Floats, make_transform
-from perception.pose.selection.greedy import arrange
+from perception.pose.pose_estimate import PoseEstimate
+from perception.pose.selection.greedy import select_poses
+from perception.pose.verification.verification import Verdict
 
 SURE = 0.5
 
 
-@dataclass(frozen=True)
-class At:
-    """A pose on a line."""
+VERDICT = Verdict(edge_score=0.0, explained=0.0, support=0.0, violation=0.0, measured=0.0, logit=0.0)
 
-    x: float
-    score: float
 
-    @property
-    def T_cam_part(self) -> Floats:
-        return make_transform(translation=[self.x, 0.0, 0.0])
+def at(x: float, score: float) -> PoseEstimate:
+    """Return a pose on a line."""
+    return PoseEstimate(
+        T_cam_part=make_transform(translation=[x, 0.0, 0.0]),
+        score=score,
+        instance_idx=0,
+        visible_fraction=0.0,
+        verdict=VERDICT,
+        margin=0.0,
+        score_drop=0.0,
+        size=0,
+    )
 
 
 class Given:
     """A group's poses by their order here, best first; ``alone`` is the score of a pose that has no rival left."""
 
-    def __init__(self, *poses: At, alone: float | None = None) -> None:
+    def __init__(self, *poses: PoseEstimate, alone: float | None = None) -> None:
         self.left = list(poses)
         self.alone = alone
         self.asked = 0
 
-    def best(self) -> At | None:
+    def best(self) -> PoseEstimate | None:
         self.asked += 1
         if not self.left:
             return None
         if len(self.left) == 1 and self.alone is not None:
-            return At(self.left[0].x, self.alone)
+            return replace(self.left[0], score=self.alone)
         return self.left[0]
 
     def rule_out(self, impossible: Callable[[Floats], bool]) -> bool:
@@ -51,64 +58,64 @@ def near(T_a: Floats, T_b: Floats) -> bool:
     return bool(np.abs(T_a[0, 3] - T_b[0, 3]) < 1)
 
 
-def arranged(*choices: Given, sure: float = SURE) -> list[tuple[float, float] | None]:
-    return [None if pose is None else (pose.x, pose.score) for pose in arrange(choices, near, sure)]
+def selected(*groups: Given, sure: float = SURE) -> list[tuple[float, float] | None]:
+    return [None if pose is None else (pose.T_cam_part[0, 3], pose.score) for pose in select_poses(groups, near, sure)]
 
 
-def test_nothing_is_arranged_of_nothing() -> None:
-    assert arranged() == []
-    assert arranged(Given(), Given()) == [None, None]
+def test_nothing_is_selected_from_nothing() -> None:
+    assert selected() == []
+    assert selected(Given(), Given()) == [None, None]
 
 
 def test_poses_apart_are_each_groups_best() -> None:
-    first, second = Given(At(0, 0.6), At(9, 0.5)), Given(At(1, 0.9), At(8, 0.1))
-    assert arranged(first, second) == [(0, 0.6), (1, 0.9)]
+    first, second = Given(at(0, 0.6), at(9, 0.5)), Given(at(1, 0.9), at(8, 0.1))
+    assert selected(first, second) == [(0, 0.6), (1, 0.9)]
     assert (first.asked, second.asked) == (1, 1)  # to choose anew costs time
 
 
 @pytest.mark.parametrize("surer", [0, 1])
 def test_the_surer_pose_stands_and_the_next_best_takes_the_place_of_the_other(surer: int) -> None:
-    sure, other = Given(At(0, 0.9), At(5, 0.8)), Given(At(0.5, 0.7), At(0.9, 0.65), At(2, 0.3), At(3, 0.2))
-    found = arranged(*((sure, other) if surer == 0 else (other, sure)))
+    sure, other = Given(at(0, 0.9), at(5, 0.8)), Given(at(0.5, 0.7), at(0.9, 0.65), at(2, 0.3), at(3, 0.2))
+    found = selected(*((sure, other) if surer == 0 else (other, sure)))
     assert found[surer] == (0, 0.9)
     assert found[1 - surer] == (2, 0.3)
 
 
 def test_a_group_has_no_pose_when_all_are_ruled_out() -> None:
-    assert arranged(Given(At(0.5, 0.8), At(-0.5, 0.7)), Given(At(0, 0.9))) == [None, (0, 0.9)]
+    assert selected(Given(at(0.5, 0.8), at(-0.5, 0.7)), Given(at(0, 0.9))) == [None, (0, 0.9)]
 
 
 def test_a_pose_may_become_surer_as_its_rivals_fall_and_then_rules_out_others() -> None:
     """The second group's best falls; what is left of it has no rival and beats the third group's pose."""
-    second = Given(At(0.5, 0.8), At(2, 0.4), alone=0.85)
-    assert arranged(Given(At(0, 0.9)), second, Given(At(2.5, 0.7))) == [(0, 0.9), (2, 0.85), None]
+    second = Given(at(0.5, 0.8), at(2, 0.4), alone=0.85)
+    assert selected(Given(at(0, 0.9)), second, Given(at(2.5, 0.7))) == [(0, 0.9), (2, 0.85), None]
 
 
 def test_a_pose_that_has_fallen_rules_nothing_out() -> None:
     """It would clash with the third group's pose, but was ruled out before its turn came."""
-    found = arranged(Given(At(0, 0.9)), Given(At(0.9, 0.8)), Given(At(1.8, 0.7), At(9, 0.1)))
+    found = selected(Given(at(0, 0.9)), Given(at(0.9, 0.8)), Given(at(1.8, 0.7), at(9, 0.1)))
     assert found == [(0, 0.9), None, (1.8, 0.7)]
 
 
 def test_of_equally_sure_poses_the_first_stands() -> None:
-    assert arranged(Given(At(0, 0.8)), Given(At(0.5, 0.8)), Given(At(-0.5, 0.8))) == [(0, 0.8), None, None]
-    assert arranged(Given(At(0.5, 0.8)), Given(At(0, 0.8))) == [(0.5, 0.8), None]
+    assert selected(Given(at(0, 0.8)), Given(at(0.5, 0.8)), Given(at(-0.5, 0.8))) == [(0, 0.8), None, None]
+    assert selected(Given(at(0.5, 0.8)), Given(at(0, 0.8))) == [(0.5, 0.8), None]
 
 
 def test_unsure_poses_rule_nothing_out() -> None:
-    unsure = Given(At(0, 0.49)), Given(At(0.5, 0.48)), Given(At(0.5, 0.3))
-    assert arranged(*unsure) == [(0, 0.49), (0.5, 0.48), (0.5, 0.3)]
-    assert arranged(*unsure, sure=0.49) == [(0, 0.49), None, None]
+    unsure = Given(at(0, 0.49)), Given(at(0.5, 0.48)), Given(at(0.5, 0.3))
+    assert selected(*unsure) == [(0, 0.49), (0.5, 0.48), (0.5, 0.3)]
+    assert selected(*unsure, sure=0.49) == [(0, 0.49), None, None]
 
 
 def test_a_sure_pose_rules_out_unsure_ones_and_the_unsure_ones_left_may_clash() -> None:
-    found = arranged(Given(At(0.5, 0.2), At(3, 0.1)), Given(At(0, 0.9)), Given(At(3.5, 0.4)))
+    found = selected(Given(at(0.5, 0.2), at(3, 0.1)), Given(at(0, 0.9)), Given(at(3.5, 0.4)))
     assert found == [(3, 0.1), (0, 0.9), (3.5, 0.4)]
 
 
-def test_no_pose_is_chosen_of_a_choice_that_is_left_empty() -> None:
+def test_no_pose_is_selected_from_a_group_that_is_left_empty() -> None:
     """With ``sure`` at 0 even a pose of score 0 stands, but None never does."""
-    assert arranged(Given(), Given(At(0, 0.0)), Given(At(0.5, 0.0)), sure=0.0) == [None, (0, 0.0), None]
+    assert selected(Given(), Given(at(0, 0.0)), Given(at(0.5, 0.0)), sure=0.0) == [None, (0, 0.0), None]
 
 
 def test_the_pose_that_stands_comes_first() -> None:
@@ -118,5 +125,5 @@ def test_the_pose_that_stands_comes_first() -> None:
         asked.append((T_a[0, 3], T_b[0, 3]))
         return near(T_a, T_b)
 
-    arrange([Given(At(4, 0.6), At(0.2, 0.5)), Given(At(0, 0.9))], noted, SURE)
+    select_poses([Given(at(4, 0.6), at(0.2, 0.5)), Given(at(0, 0.9))], noted, SURE)
     assert asked == [(0.0, 4.0), (0.0, 0.2)]

@@ -8,12 +8,12 @@ import pytest
 from perception.pose.verification.confidence import ConfidenceConfig, coefficients, confidence, predictors
 from perception.pose.verification.verification import Verdict
 
-VERDICT = Verdict(edge_score=0.5, explained=0.25, support=0.75, violation=0.125, measured=0.9, evidence=1.0)
-HELD = 1.5  # how firmly
+VERDICT = Verdict(edge_score=0.5, explained=0.25, support=0.75, violation=0.125, measured=0.9, logit=1.0)
+DROP = 1.5
 PLAIN = ConfidenceConfig(
-    bias=-1.0, edge_score=2.0, support=-2.0, violation=-8.0, margin=0.5, firmness=-1.5, size=0.25, clear=3.0
+    bias=-1.0, edge_score=2.0, support=-2.0, violation=-8.0, margin=0.5, score_drop=-1.5, size=0.25, clear=3.0
 )
-NAMES = ("edge_score", "support", "violation", "margin", "firmness", "size")
+NAMES = ("edge_score", "support", "violation", "margin", "score_drop", "size")
 
 
 def logistic(x: float) -> float:
@@ -22,13 +22,13 @@ def logistic(x: float) -> float:
 
 def test_it_is_the_logistic_of_a_weighted_sum() -> None:
     without_size = -1.0 + 1.0 - 1.5 - 1.0 + 0.5 * 2.0 - 1.5 * 1.5
-    assert confidence(VERDICT, 2.0, HELD, 1, PLAIN) == pytest.approx(logistic(without_size))
-    assert confidence(VERDICT, 2.0, HELD, 100, PLAIN) == pytest.approx(logistic(without_size + 0.25 * np.log(100)))
+    assert confidence(VERDICT, 2.0, DROP, 1, PLAIN) == pytest.approx(logistic(without_size))
+    assert confidence(VERDICT, 2.0, DROP, 100, PLAIN) == pytest.approx(logistic(without_size + 0.25 * np.log(100)))
 
 
 def test_a_clear_margin_is_clear() -> None:
     def sure(margin: float, config: ConfidenceConfig = PLAIN) -> float:
-        return confidence(VERDICT, margin, HELD, 50, config)
+        return confidence(VERDICT, margin, DROP, 50, config)
 
     assert sure(2.9) < sure(3.0)
     assert sure(40.0) == sure(np.inf) == sure(3.0)
@@ -36,52 +36,57 @@ def test_a_clear_margin_is_clear() -> None:
     assert sure(2.0, replace(PLAIN, clear=1.5)) == sure(1.5)
 
 
-def test_a_clear_hold_is_clear() -> None:
-    firm = replace(PLAIN, firmness=1.0)
+def test_a_clear_score_drop_is_clear() -> None:
+    dropping = replace(PLAIN, score_drop=1.0)
 
-    def sure(firmness: float, config: ConfidenceConfig = firm) -> float:
-        return confidence(VERDICT, 0.5, firmness, 50, config)
+    def sure(score_drop: float, config: ConfidenceConfig = dropping) -> float:
+        return confidence(VERDICT, 0.5, score_drop, 50, config)
 
     assert sure(2.9) < sure(3.0)
     assert sure(40.0) == sure(np.inf) == sure(3.0)
     assert sure(-np.inf) == sure(-3.0) < sure(-2.9)
-    assert sure(2.0, replace(firm, clear=1.0)) == sure(1.0)
+    assert sure(2.0, replace(dropping, clear=1.0)) == sure(1.0)
 
 
 def test_predictors_and_coefficients_are_in_one_order() -> None:
-    assert predictors(VERDICT, 2.0, HELD, 7, 3.0) == (0.5, 0.75, 0.125, 2.0, 1.5, np.log(7))
+    assert predictors(VERDICT, 2.0, DROP, 7, 3.0) == (0.5, 0.75, 0.125, 2.0, 1.5, np.log(7))
     assert coefficients(PLAIN) == (2.0, -2.0, -8.0, 0.5, -1.5, 0.25)
     assert tuple(f.name for f in fields(PLAIN) if f.name not in ("bias", "clear")) == NAMES
     for name in NAMES:
         changed = coefficients(replace(PLAIN, **{name: 99.0}))
         (place,) = np.flatnonzero(np.array(changed) == 99.0)
         only = dict.fromkeys((f.name for f in fields(PLAIN)), 0.0) | {name: 1.0, "clear": 3.0}
-        value = predictors(VERDICT, 2.0, HELD, 7, 3.0)[place]
-        assert confidence(VERDICT, 2.0, HELD, 7, ConfidenceConfig(**only)) == pytest.approx(logistic(value)), name
+        value = predictors(VERDICT, 2.0, DROP, 7, 3.0)[place]
+        assert confidence(VERDICT, 2.0, DROP, 7, ConfidenceConfig(**only)) == pytest.approx(logistic(value)), name
 
 
 def test_what_speaks_for_a_pose_makes_it_surer_and_what_speaks_against_it_does_not() -> None:
-    sure = confidence(VERDICT, 1.0, HELD, 60)
+    sure = confidence(VERDICT, 1.0, DROP, 60)
     assert 0 < sure < 1
-    assert confidence(replace(VERDICT, edge_score=1.0, support=1.0), 1.0, HELD, 60) > sure
-    assert confidence(replace(VERDICT, violation=0.5), 1.0, HELD, 60) < sure
-    assert confidence(VERDICT, 0.0, HELD, 60) < sure < confidence(VERDICT, 2.0, HELD, 60)
-    assert confidence(VERDICT, 1.0, HELD, 20) < sure < confidence(VERDICT, 1.0, HELD, 200)
+    assert confidence(replace(VERDICT, edge_score=1.0, support=1.0), 1.0, DROP, 60) > sure
+    assert confidence(replace(VERDICT, violation=0.5), 1.0, DROP, 60) < sure
+    assert confidence(VERDICT, 0.0, DROP, 60) < sure < confidence(VERDICT, 2.0, DROP, 60)
+    assert confidence(VERDICT, 1.0, DROP, 20) < sure < confidence(VERDICT, 1.0, DROP, 200)
     assert confidence(VERDICT, 1.0, 0.5, 60) < sure < confidence(VERDICT, 1.0, 2.5, 60)
 
 
 def test_extremes_stay_in_bounds() -> None:
     for bias in (-1e6, 1e6):
-        assert confidence(VERDICT, 0.0, HELD, 10, replace(PLAIN, bias=bias)) == (bias > 0)
+        assert confidence(VERDICT, 0.0, DROP, 10, replace(PLAIN, bias=bias)) == (bias > 0)
 
 
 @pytest.mark.parametrize(
-    ("margin", "firmness", "size"), [(1.0, 2.0, 0), (1.0, 2.0, -3), (np.nan, 2.0, 10), (1.0, np.nan, 10)]
+    ("margin", "score_drop", "size", "message"),
+    [
+        (1.0, 2.0, 0, "size must be at least 1, got 0"),
+        (1.0, 2.0, -3, "size must be at least 1, got -3"),
+        (np.nan, 2.0, 10, "margin must not be NaN, got nan"),
+        (1.0, np.nan, 10, "score_drop must not be NaN, got nan"),
+    ],
 )
-def test_nonsense_is_refused(margin: float, firmness: float, size: int) -> None:
-    text = f"size must be at least 1, margin and firmness numbers, got {size}, {margin} and {firmness}"
-    with pytest.raises(ValueError, match=text):
-        confidence(VERDICT, margin, firmness, size)
+def test_nonsense_is_refused(margin: float, score_drop: float, size: int, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        confidence(VERDICT, margin, score_drop, size)
 
 
 @pytest.mark.parametrize("name", ["bias", *NAMES])

@@ -13,8 +13,15 @@ from perception.part import PartModel
 from perception.pose.model import _surface_kernels as surface_kernels
 from perception.pose.model.surface_model import surface_model
 from perception.pose.verification import _refine_kernels as kernels
-from perception.pose.verification.boundary_index import index_boundary
-from perception.pose.verification.verification import Verdict, VerificationConfig, edge_scores, evidence, verify
+from perception.pose.verification.boundary_index import BoundaryIndex, index_boundary
+from perception.pose.verification.verification import (
+    ObservedGroup,
+    Verdict,
+    VerificationConfig,
+    edge_scores,
+    ranking_logit,
+    verify,
+)
 from tests.perception.pose import observed_part as at
 from tests.perception.pose.observed_part import SIGMA, K
 from tests.reference import refine_twin as twin
@@ -32,15 +39,19 @@ SEEN = at.look_at(at.placed(ELL, LEANING), noise=SIGMA)
 FLOOR = at.look_at()  # and nothing on it
 
 
+def observed(frame: Frame, group: tuple[Floats, Floats], boundary: BoundaryIndex = BOUNDARY) -> ObservedGroup:
+    return ObservedGroup(points_cam=group[0], tangents_cam=group[1], boundary=boundary, frame=frame)
+
+
 def verdict(T: Floats, frame: Frame = SEEN, boundary_at: Floats = LEANING) -> Verdict:
     group = at.wire_scene(boundary_at, ELL, np.random.default_rng(0))
-    return verify(T, MODEL, SURFACE, index_boundary(*group, ELL.d_max), frame, group)
+    return verify(T, MODEL, SURFACE, observed(frame, group, index_boundary(*group, ELL.d_max)))
 
 
 def scores(T: Floats, points: Floats, tangents: Floats, frame: Frame = FLOOR, **change: float) -> tuple[float, float]:
     """Return the edge scores of a pose when these boundary points are all there is."""
     index = index_boundary(points, tangents, ELL.d_max)
-    return edge_scores(T, MODEL, index, frame, (points, tangents), replace(CONFIG, **change))  # type: ignore[arg-type]
+    return edge_scores(T, MODEL, observed(frame, (points, tangents), index), replace(CONFIG, **change))  # type: ignore[arg-type]
 
 
 def lifted(T: Floats, height: float) -> Floats:
@@ -104,7 +115,7 @@ def test_a_pose_a_pixel_off_does_not_float_at_its_outline() -> None:
     pixel = at.DISTANCE / K[0, 0]
     aside = make_transform(None, (0.9 * pixel, 0.9 * pixel, 0.0)) @ FROM_ABOVE
     assert verdict(aside, frame, FROM_ABOVE).violation < 0.01
-    assert verify(aside, MODEL, SURFACE, BOUNDARY, frame, GROUP, replace(CONFIG, window=0)).violation > 0.02
+    assert verify(aside, MODEL, SURFACE, observed(frame, GROUP), replace(CONFIG, window=0)).violation > 0.02
     far = make_transform(None, (0.006, 0.0, 0.0)) @ FROM_ABOVE
     assert 0.1 < verdict(far, frame, FROM_ABOVE).violation < 0.5
 
@@ -158,14 +169,14 @@ def test_edges_that_something_hides_do_not_count() -> None:
 def test_what_a_pose_leaves_of_its_group_is_not_explained() -> None:
     points, tangents = GROUP
     away = np.concatenate([points, points[::3] + np.array([0.0, 0.0, 0.02])]), np.concatenate([tangents, tangents[::3]])
-    explained = verify(LEANING, MODEL, SURFACE, BOUNDARY, SEEN, away).explained
+    explained = verify(LEANING, MODEL, SURFACE, observed(SEEN, away)).explained
     assert explained == pytest.approx(0.75, abs=0.05)
     across = points, np.roll(tangents, 1, axis=1)
-    assert verify(LEANING, MODEL, SURFACE, BOUNDARY, SEEN, across).explained < 0.1
+    assert verify(LEANING, MODEL, SURFACE, observed(SEEN, across)).explained < 0.1
     nothing = np.zeros((0, 3)), np.zeros((0, 3))
-    assert verify(LEANING, MODEL, SURFACE, BOUNDARY, SEEN, nothing).explained == 0.0
+    assert verify(LEANING, MODEL, SURFACE, observed(SEEN, nothing)).explained == 0.0
     strict = replace(CONFIG, edge_distance=0.001)
-    assert verify(LEANING, MODEL, SURFACE, BOUNDARY, SEEN, GROUP, strict).explained < 0.3
+    assert verify(LEANING, MODEL, SURFACE, observed(SEEN, GROUP), strict).explained < 0.3
 
 
 def test_only_edges_of_the_view_count() -> None:
@@ -176,40 +187,40 @@ def test_only_edges_of_the_view_count() -> None:
         visibility=np.repeat([1, 2], len(MODEL)).astype(np.uint32),
         views=np.stack([direction, -direction]) / np.linalg.norm(direction),
     )
-    assert edge_scores(LEANING, model, BOUNDARY, FLOOR, GROUP, CONFIG) == (1.0, 1.0)
+    assert edge_scores(LEANING, model, observed(FLOOR, GROUP), CONFIG) == (1.0, 1.0)
     other = replace(model, views=-model.views)
-    assert max(edge_scores(LEANING, other, BOUNDARY, FLOOR, GROUP, CONFIG)) < 0.5
+    assert max(edge_scores(LEANING, other, observed(FLOOR, GROUP), CONFIG)) < 0.5
     unseen = replace(MODEL, visibility=np.zeros(len(MODEL), np.uint32))
-    assert edge_scores(LEANING, unseen, BOUNDARY, FLOOR, GROUP, CONFIG) == (0.0, 0.0)
+    assert edge_scores(LEANING, unseen, observed(FLOOR, GROUP), CONFIG) == (0.0, 0.0)
 
 
 def test_tolerance_covers_the_sensor_s_noise() -> None:
     rough = at.look_at(at.placed(ELL, LEANING), noise=0.002)
-    strict = verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, GROUP, replace(CONFIG, window=0))
-    fair = verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, GROUP, replace(CONFIG, window=0, noise=0.002))
-    loose = verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, GROUP, replace(CONFIG, window=0, surface_distance=0.1))
+    strict = verify(LEANING, MODEL, SURFACE, observed(rough, GROUP), replace(CONFIG, window=0))
+    fair = verify(LEANING, MODEL, SURFACE, observed(rough, GROUP), replace(CONFIG, window=0, noise=0.002))
+    loose = verify(LEANING, MODEL, SURFACE, observed(rough, GROUP), replace(CONFIG, window=0, surface_distance=0.1))
     assert strict.support < 0.85
     assert strict.violation > 0.05
     assert min(fair.support, loose.support) > 0.97
-    assert verify(LEANING, MODEL, SURFACE, BOUNDARY, rough, GROUP, CONFIG).support > strict.support
+    assert verify(LEANING, MODEL, SURFACE, observed(rough, GROUP), CONFIG).support > strict.support
 
 
-def test_the_evidence_is_the_weighted_sum_of_four_shares() -> None:
+def test_the_logit_is_the_weighted_sum_of_four_shares() -> None:
     config = VerificationConfig(
         bias=-1.0, edge_weight=2.0, explained_weight=3.0, support_weight=-4.0, violation_weight=8.0
     )
-    assert evidence(0.5, 0.25, 0.125, 0.0625, config) == -1.0 + 1.0 + 0.75 - 0.5 + 0.5
-    found = verify(LEANING, MODEL, SURFACE, BOUNDARY, FLOOR, GROUP, config)
+    assert ranking_logit(0.5, 0.25, 0.125, 0.0625, config) == -1.0 + 1.0 + 0.75 - 0.5 + 0.5
+    found = verify(LEANING, MODEL, SURFACE, observed(FLOOR, GROUP), config)
     shares = found.edge_score, found.explained, found.support, found.violation
-    assert found.evidence == evidence(*shares, config)
+    assert found.logit == ranking_logit(*shares, config)
 
 
-def test_the_score_is_the_logistic_of_the_evidence() -> None:
+def test_the_score_is_the_logistic_of_the_logit() -> None:
     found = verdict(LEANING)
     for weighted in (-30.0, -1.0, 0.0, 0.25):
-        assert replace(found, evidence=weighted).score == pytest.approx(1 / (1 + np.exp(-weighted)), rel=1e-3)
+        assert replace(found, logit=weighted).score == pytest.approx(1 / (1 + np.exp(-weighted)), rel=1e-3)
     for extreme in (-5000.0, 5000.0):
-        assert replace(found, evidence=extreme).score == (extreme > 0)
+        assert replace(found, logit=extreme).score == (extreme > 0)
 
 
 # Kernels
@@ -276,11 +287,11 @@ def test_a_gap_is_positive_where_the_camera_saw_through() -> None:
 
 def test_a_bad_pose_and_an_empty_frame_are_refused() -> None:
     with pytest.raises(ValueError, match="T_cam_part must be finite"):
-        verify(LEANING * np.nan, MODEL, SURFACE, BOUNDARY, SEEN, GROUP)
+        verify(LEANING * np.nan, MODEL, SURFACE, observed(SEEN, GROUP))
     with pytest.raises(ValueError, match=r"T_cam_part must be \(4, 4\)"):
-        edge_scores(LEANING[:3], MODEL, BOUNDARY, SEEN, GROUP, CONFIG)
+        edge_scores(LEANING[:3], MODEL, observed(SEEN, GROUP), CONFIG)
     with pytest.raises(ValueError, match="the frame must have a depth somewhere"):
-        verify(LEANING, MODEL, SURFACE, BOUNDARY, at.framed(np.zeros((6, 8), np.float32)), GROUP)
+        verify(LEANING, MODEL, SURFACE, observed(at.framed(np.zeros((6, 8), np.float32)), GROUP))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What hides a point, what explains one, and what is near a surface: by hand, and against plain twins."""
+"""What occludes a point, what explains one, and what is near a surface: by hand, and against plain twins."""
 
 import numpy as np
 import pytest
@@ -22,46 +22,46 @@ def point_at(u: float, v: float, z: float) -> Floats:
     return z * np.array([[(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], 1.0]])
 
 
-def is_hidden(point: Floats, depth: np.ndarray, radius: int = 2, match: int = -1) -> bool:
-    (hidden,) = kernels.hidden_points(HERE, point, np.array([match]), depth, K, 0.001, radius)
-    return bool(hidden)
+def is_occluded(point: Floats, depth: np.ndarray, radius: int = 2, match: int = -1) -> bool:
+    (occluded,) = kernels.occluded_points(HERE, point, np.array([match]), depth, K, 0.001, radius)
+    return bool(occluded)
 
 
-def test_a_point_well_behind_what_was_measured_is_hidden() -> None:
+def test_a_point_well_behind_what_was_measured_is_occluded() -> None:
     wall = np.full((180, 240), 0.5, np.float32)
-    assert is_hidden(point_at(*MIDDLE, 0.5011), wall)
-    assert not is_hidden(point_at(*MIDDLE, 0.5009), wall)
-    assert not is_hidden(point_at(*MIDDLE, 0.4), wall)
-    assert not is_hidden(point_at(*MIDDLE, 0.6), wall, match=0)  # it was seen
+    assert is_occluded(point_at(*MIDDLE, 0.5011), wall)
+    assert not is_occluded(point_at(*MIDDLE, 0.5009), wall)
+    assert not is_occluded(point_at(*MIDDLE, 0.4), wall)
+    assert not is_occluded(point_at(*MIDDLE, 0.6), wall, match=0)  # it was seen
 
 
-def test_a_point_beside_an_open_pixel_is_not_hidden() -> None:
+def test_a_point_beside_an_open_pixel_is_not_occluded() -> None:
     for du, dv in ((2, 0), (-2, 2), (0, -2)):
         wall = np.full((180, 240), 0.5, np.float32)
         wall[60 + dv, 50 + du] = 0.7
         point = point_at(50.3, 59.7, 0.6)
-        assert not is_hidden(point, wall)
-        assert is_hidden(point, wall, radius=1)
-        assert is_hidden(point_at(50.3, 59.7, 0.8), wall)
+        assert not is_occluded(point, wall)
+        assert is_occluded(point, wall, radius=1)
+        assert is_occluded(point_at(50.3, 59.7, 0.8), wall)
 
 
 @pytest.mark.parametrize("pixel", [(-0.6, 50.0), (239.6, 50.0), (50.0, -0.6), (50.0, 179.6)])
 def test_nothing_is_known_of_a_point_outside_the_image(pixel: tuple[float, float]) -> None:
     deep = np.full((180, 240), 2.0, np.float32)
-    assert is_hidden(point_at(*pixel, 0.6), deep)
+    assert is_occluded(point_at(*pixel, 0.6), deep)
     inside = np.clip(pixel, (-0.4, -0.4), (239.4, 179.4))
-    assert not is_hidden(point_at(*inside, 0.6), deep)
+    assert not is_occluded(point_at(*inside, 0.6), deep)
 
 
 def test_nothing_is_known_of_a_point_without_depth_or_behind_the_camera() -> None:
     deep = np.full((180, 240), 2.0, np.float32)
-    assert is_hidden(point_at(*MIDDLE, -0.6), deep)
+    assert is_occluded(point_at(*MIDDLE, -0.6), deep)
     deep[80:100, 110:130] = 0.0
-    assert is_hidden(point_at(*MIDDLE, 0.6), deep)
+    assert is_occluded(point_at(*MIDDLE, 0.6), deep)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_hidden_points_are_those_of_the_twin(seed: int) -> None:
+def test_occluded_points_are_those_of_the_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     T = at.random_pose(ELL, rng)
     T[0, 3] += 0.05  # partly out of the image
@@ -71,9 +71,9 @@ def test_hidden_points_are_those_of_the_twin(seed: int) -> None:
     matches = rng.integers(-3, 3, len(POINTS))
     for radius in (0, 2):
         arguments = T, POINTS, matches, depth, K, 0.001, radius
-        hidden = kernels.hidden_points(*arguments)
-        assert hidden.tolist() == twin.hidden_points(*arguments).tolist()
-        assert 0.1 < hidden[matches < 0].mean() < 0.95
+        occluded = kernels.occluded_points(*arguments)
+        assert occluded.tolist() == twin.occluded_points(*arguments).tolist()
+        assert 0.1 < occluded[matches < 0].mean() < 0.95
 
 
 def test_a_point_is_explained_by_a_like_one_near_it() -> None:

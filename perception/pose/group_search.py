@@ -1,0 +1,91 @@
+"""The search for the pose of one group of boundary points."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from perception.geometry import Floats
+from perception.pose.estimator_config import EstimatorConfig
+from perception.pose.hypothesis_scoring import HypothesisScorer, ScoredHypothesis
+from perception.pose.pose_estimate import PoseEstimate
+
+Condition = Callable[[Floats], bool]  # of a (4, 4) T_cam_part
+
+
+class GroupSearch:
+    """The hypotheses about one group of boundary points.
+
+    `add` collects coarsely refined hypotheses. `best` refines the most promising ones fully and returns the best one.
+    `rule_out` removes hypotheses that the pose of another group makes impossible; `best` then returns the next best.
+    """
+
+    def __init__(
+        self, scorer: HypothesisScorer, config: EstimatorConfig, possible: Condition, instance_idx: int
+    ) -> None:
+        """Start without any hypothesis.
+
+        Args:
+            scorer: Refines and scores hypotheses about the group.
+            config: Numbers of hypotheses to try and to refine fully.
+            possible: Whether a part can be in a pose; other hypotheses are dropped.
+            instance_idx: Index of the group.
+        """
+        self._scorer = scorer
+        self._config = config
+        self._possible = possible
+        self._instance_idx = instance_idx
+        self._hypotheses: list[ScoredHypothesis] = []
+        self._score_drops: dict[ScoredHypothesis, float] = {}  # of the best ones so far: each takes several verdicts
+        self._ruled_out: list[Condition] = []
+
+    def add(self, poses: Floats) -> None:
+        """Refine (C, 4, 4) poses coarsely in turn until one is good enough, and keep those that are possible."""
+        config = self._config
+        for T_cam_part in poses:
+            enough = len(self._hypotheses) >= config.hypotheses
+            if enough and max(found.verdict.score for found in self._hypotheses) >= config.sure:
+                break
+            found = self._scorer.refine_coarsely(T_cam_part)
+            if self._possible(found.T_cam_part):
+                self._hypotheses.append(found)
+
+    def best(self) -> PoseEstimate | None:
+        """Return the best pose that is not ruled out, None if there is none left.
+
+        A later call refines only what an earlier one did not.
+        """
+        if not self._hypotheses:
+            return None
+        self._refine_finalists()
+        best = self._hypotheses[0]
+        if best not in self._score_drops:
+            # Voting may have found one of two near-symmetric poses and missed the right one.
+            similar = self._scorer.near_symmetric(best)
+            self._hypotheses += [found for found in similar if self._allowed(found.T_cam_part)]
+            self._refine_finalists()
+            best = self._hypotheses[0]
+            self._score_drops[best] = self._scorer.score_drop(best)
+        return self._scorer.estimate(best, self._hypotheses[1:], self._score_drops[best], self._instance_idx)
+
+    def rule_out(self, impossible: Condition) -> bool:
+        """Remove the hypotheses that meet a condition, also those found later; return whether any was removed."""
+        self._ruled_out.append(impossible)
+        count = len(self._hypotheses)
+        self._hypotheses = [found for found in self._hypotheses if not impossible(found.T_cam_part)]
+        return len(self._hypotheses) < count
+
+    def _refine_finalists(self) -> None:
+        """Refine the first ``finalists`` hypotheses fully, and sort all by their logit, best first."""
+        self._sort()
+        for k, coarse in enumerate(self._hypotheses[: self._config.finalists]):
+            if not coarse.final:
+                fine = self._scorer.refine_fully(coarse.T_cam_part)
+                better = fine.logit >= coarse.logit and self._allowed(fine.T_cam_part)
+                self._hypotheses[k] = fine if better else replace(coarse, final=True)
+        self._sort()
+
+    def _sort(self) -> None:
+        self._hypotheses.sort(key=lambda found: found.logit, reverse=True)
+
+    def _allowed(self, T_cam_part: Floats) -> bool:
+        """Return whether a pose is possible and not ruled out."""
+        return self._possible(T_cam_part) and not any(impossible(T_cam_part) for impossible in self._ruled_out)

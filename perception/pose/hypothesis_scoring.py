@@ -1,0 +1,149 @@
+"""Pose hypotheses about one group of boundary points: refined, scored, and turned into an estimate."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from perception.geometry import Floats
+from perception.part import PartModel
+from perception.pose.clustering import are_alike
+from perception.pose.estimator_config import EstimatorConfig
+from perception.pose.model.appearances import EdgeAppearances
+from perception.pose.model.surface_model import SurfaceModel
+from perception.pose.pose_estimate import PoseEstimate
+from perception.pose.verification.confidence import confidence
+from perception.pose.verification.perturbation import score_drop
+from perception.pose.verification.refinement import refine_edges, refine_surface
+from perception.pose.verification.verification import ObservedGroup, Verdict, verify
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScoringModels:
+    """Everything about a part that its hypotheses are scored with.
+
+    Attributes:
+        part: The part itself.
+        edges: Edge points of every view of the part.
+        surface: Samples of the part's surface.
+        coarse_edges: The same views with fewer edge points.
+        coarse_surface: The same surface with fewer samples.
+        perturbations: (K, 4, 4) small rotations in the part frame, for the score drop.
+        near_symmetries: (S, 4, 4) motions in the part frame after which the part looks nearly the same.
+    """
+
+    part: PartModel
+    edges: EdgeAppearances
+    surface: SurfaceModel
+    coarse_edges: EdgeAppearances
+    coarse_surface: SurfaceModel
+    perturbations: Floats
+    near_symmetries: Floats
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScoredHypothesis:
+    """A refined pose hypothesis.
+
+    Attributes:
+        T_cam_part: (4, 4) pose of the part in the camera frame.
+        verdict: Agreement of the pose with the boundary points and the depth image.
+        final: Whether the full refinement has been tried.
+    """
+
+    T_cam_part: Floats
+    verdict: Verdict
+    final: bool
+
+    @property
+    def logit(self) -> float:
+        """Weighted sum that hypotheses of one group are ranked by."""
+        return self.verdict.logit
+
+
+class HypothesisScorer:
+    """Refines and scores hypotheses about one group of boundary points in its frame."""
+
+    def __init__(self, models: ScoringModels, group: ObservedGroup, config: EstimatorConfig) -> None:
+        """Keep references; nothing is computed.
+
+        Args:
+            models: Models of the part that is searched for.
+            group: Boundary points that a hypothesis has to explain, and the frame they are from.
+            config: Settings of refinement, verification and confidence.
+        """
+        self._models = models
+        self._group = group
+        self._config = config
+
+    def refine_coarsely(self, T_cam_part: Floats) -> ScoredHypothesis:
+        """Refine a (4, 4) pose in few steps with few model points, and score the result with all of them."""
+        models, config = self._models, self._config
+        edges_fitted = refine_edges(T_cam_part, models.coarse_edges, self._group.boundary, config.quick_edges)
+        fitted = refine_surface(edges_fitted.T_cam_part, models.coarse_surface, self._group.frame, config.quick_surface)
+        return self._scored(fitted.T_cam_part, final=False)
+
+    def refine_fully(self, T_cam_part: Floats) -> ScoredHypothesis:
+        """Refine a (4, 4) pose to convergence with all model points, and score the result."""
+        models, config = self._models, self._config
+        edges_fitted = refine_edges(T_cam_part, models.edges, self._group.boundary, config.edge_refinement)
+        fitted = refine_surface(edges_fitted.T_cam_part, models.surface, self._group.frame, config.surface_refinement)
+        return self._scored(fitted.T_cam_part, final=True)
+
+    def near_symmetric(self, hypothesis: ScoredHypothesis) -> list[ScoredHypothesis]:
+        """Return the near-symmetric poses of a hypothesis, coarsely refined.
+
+        Poses whose logit before refinement is more than ``near_symmetry.lead`` lower are left out.
+        """
+        least = hypothesis.logit - self._config.near_symmetry.lead
+        found = []
+        for motion in self._models.near_symmetries:
+            T_cam_part = hypothesis.T_cam_part @ motion
+            if self._verdict(T_cam_part).logit >= least:
+                found.append(self.refine_coarsely(T_cam_part))
+        return found
+
+    def score_drop(self, hypothesis: ScoredHypothesis) -> float:
+        """Return the smallest decrease of a hypothesis' logit under small rotations, computed with few points."""
+        models, config = self._models, self._config
+
+        def logit(T_cam_part: Floats) -> float:
+            edges, surface = models.coarse_edges, models.coarse_surface
+            return verify(T_cam_part, edges, surface, self._group, config.verification).logit
+
+        return score_drop(hypothesis.T_cam_part, models.perturbations, logit)
+
+    def estimate(
+        self, best: ScoredHypothesis, rivals: Sequence[ScoredHypothesis], drop: float, instance_idx: int
+    ) -> PoseEstimate:
+        """Return the estimate that follows from the best hypothesis.
+
+        Args:
+            best: Hypothesis to return.
+            rivals: Other hypotheses about the same points; those like ``best`` have no influence.
+            drop: Score drop of ``best``.
+            instance_idx: Index of the group; -1 without groups.
+        """
+        part, config, verdict = self._models.part, self._config, best.verdict
+        poses = np.array([rival.T_cam_part for rival in rivals]).reshape(-1, 4, 4)
+        alike = are_alike(best.T_cam_part, poses, part, config.clusters)
+        different = [rival.logit for rival, same in zip(rivals, alike, strict=True) if not same]
+        margin = verdict.logit - max(different, default=-np.inf)
+        size = len(self._group.points_cam)
+        return PoseEstimate(
+            T_cam_part=best.T_cam_part,
+            score=confidence(verdict, margin, drop, max(size, 1), config.confidence),
+            instance_idx=instance_idx,
+            visible_fraction=verdict.visible_fraction,
+            verdict=verdict,
+            margin=margin,
+            score_drop=drop,
+            size=size,
+        )
+
+    def _scored(self, T_cam_part: Floats, *, final: bool) -> ScoredHypothesis:
+        return ScoredHypothesis(T_cam_part=T_cam_part, verdict=self._verdict(T_cam_part), final=final)
+
+    def _verdict(self, T_cam_part: Floats) -> Verdict:
+        models = self._models
+        return verify(T_cam_part, models.edges, models.surface, self._group, self._config.verification)

@@ -1,0 +1,38 @@
+"""The result of pose estimation: where a part is, and how likely that is right."""
+
+from dataclasses import dataclass
+
+from perception.geometry import Floats, require_shape
+from perception.pose.verification.verification import Verdict
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PoseEstimate:
+    """The estimated pose of one part.
+
+    Attributes:
+        T_cam_part: (4, 4) pose of the part in the camera frame.
+        score: Probability that the pose is right, in [0, 1].
+        instance_idx: Index of the group of boundary points that the pose was found in; -1 without groups.
+        visible_fraction: Estimated share of the part's camera-facing surface that is visible, in [0, 1].
+        verdict: Agreement of the pose with the boundary points and the depth image.
+        margin: Difference between the logit of this pose and that of the best different pose of the group; infinite
+            if there is no other pose.
+        score_drop: Smallest decrease of the logit when the part is rotated a little; infinite if the part's symmetry
+            undoes every such rotation.
+        size: Number of boundary points of the group after thinning.
+    """
+
+    T_cam_part: Floats
+    score: float
+    instance_idx: int
+    visible_fraction: float
+    verdict: Verdict
+    margin: float
+    score_drop: float
+    size: int
+
+    def __post_init__(self) -> None:
+        require_shape("T_cam_part", self.T_cam_part, (4, 4))
+        if not 0 <= self.score <= 1:
+            raise ValueError(f"score must be in [0, 1], got {self.score}")
