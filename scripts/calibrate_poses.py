@@ -2,13 +2,20 @@
 
 import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import tyro
 
-from binpick_env.evaluation.pose.calibration import Sample, fit_confidence, load_sample, operating_points, predicted
+from binpick_env.evaluation.pose.calibration import (
+    Sample,
+    fit_confidence,
+    load_sample,
+    operating_points,
+    plain_coefficients,
+    predicted,
+)
 from binpick_env.evaluation.pose.evaluation import CONFIG_FILE
 from binpick_env.jobs.text_tables import columns
 from binpick_env.parts import load_part
@@ -52,7 +59,7 @@ def main(args: Arguments) -> int:
             share = 100 * sample.right[inside].mean()
             print(f"score {low:.1f} to {low + 0.1:.1f}: {share:.0f} % of {inside.sum()} right")
     if args.json is not None:
-        write_atomically(args.json, json_text(asdict(config)))
+        write_atomically(args.json, json_text(plain_coefficients(config)))
     return 0
 
 

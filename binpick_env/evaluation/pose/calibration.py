@@ -1,7 +1,7 @@
 """Coefficients of `perception.pose.verification.confidence`, fitted to poses whose truth is known."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +95,11 @@ def fit_confidence(sample: Sample, start: ConfidenceConfig | None = None) -> Con
     found = minimize(loss, np.zeros(X.shape[1]), jac=True, method="BFGS").x
     names = [field.name for field in fields(start) if field.name != "clear"]
     return replace(start, **{name: round(float(value), 3) for name, value in zip(names, found, strict=True)})
+
+
+def plain_coefficients(config: ConfidenceConfig) -> dict[str, float]:
+    """Return the coefficients by name, for JSON."""
+    return asdict(config) | {"firmness": config.score_drop}  # the previous version's name is kept for one version
 
 
 def predicted(sample: Sample, config: ConfidenceConfig) -> Floats:

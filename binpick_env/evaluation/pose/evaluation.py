@@ -34,6 +34,10 @@ from perception.segmentation.surface import coarse_surface
 
 _log = logging.getLogger(__name__)
 CONFIG_FILE = "pose_evaluation.json"
+RENAMED = {  # names of settings in the previous version's files
+    "method.estimator.confidence.firmness": "method.estimator.confidence.score_drop",
+    **{f"method.estimator.twins.{x}": f"method.estimator.near_symmetry.{x}" for x in ("most", "distance", "lead")},
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +116,7 @@ def evaluate_poses(
     config.load()  # what cannot be loaded must not claim the folder
     if config.method.network is not None:
         require_unseen(EvaluationConfig(scenes=config.scenes, method=config.method.network))
-    ensure_same_config(folder / CONFIG_FILE, _flat(config.note()), "an evaluation of poses")
+    ensure_same_config(folder / CONFIG_FILE, _flat(config.note()), "an evaluation of poses", RENAMED)
     missing = []
     for index in range(count):
         if not fresh and _is_whole(record_path(folder, index)):
