@@ -9,8 +9,9 @@ import tyro
 from tqdm import tqdm
 
 from binpick_env.config import CameraConfig, Perception, SensorPreset
-from policies.evaluation.bin_evaluation import BinError, EvaluationConfig
+from policies.evaluation.bin_evaluation import BinError
 from policies.evaluation.conditions import conditions
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import Job
 from policies.evaluation.records import BinRecord
 from policies.selection.evaluation import compare_selectors, evaluate_selectors, save_standings, standings_table
@@ -57,7 +58,7 @@ class Arguments:
     def job(self) -> Job:
         """Return how it is done."""
         name = f"selectors-{Path(self.part).stem}-{self.perception}-{self.sensor}-{self.seed}"
-        return Job(out=self.out or Path("runs") / name, bins=self.bins, workers=self.workers, pictures=False)
+        return Job(out=self.out or Path("runs") / name, bins=self.bins, workers=self.workers)
 
 
 def main(args: Arguments) -> int:

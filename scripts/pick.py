@@ -3,7 +3,7 @@
 import logging
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -15,15 +15,15 @@ from binpick_env.config import Backend, CameraConfig, Perception, SensorPreset
 from binpick_env.observation.perceiver import PoseNoise
 from binpick_env.parts import Unit
 from perception.runtime.provenance import git_commit
-from policies.evaluation.bin_evaluation import BinError, EvaluationConfig
-from policies.evaluation.budget import budget_jobs
+from policies.evaluation.bin_evaluation import BinError
+from policies.evaluation.budget import MODES, budget_jobs
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import Job, run_job
 from policies.evaluation.records import BinRecord
 from policies.evaluation.tables import found_note, part_note
 from policies.grasping.outcomes import PickResult
 from policies.report.conclusion import conclude, conclude_budget
-from policies.report.recording import check_recording
-from policies.report.video import check_video
+from policies.report.media import BinMedia
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,20 +80,19 @@ class Arguments:
         """Return how it is done."""
         kind = "budget" if self.budget else self.perception
         out = self.out or Path("runs") / f"pick-{Path(self.part).stem}-{kind}-{self.seed}"
-        job = Job(out=out, bins=self.bins, workers=self.workers, pictures=self.html, fresh=self.fresh)
-        return replace(job, video=self.video, video_limit=self.video_limit, rerun=self.rerun)
+        media = self.media()
+        return Job(out=out, bins=self.bins, workers=self.workers, fresh=self.fresh, listeners=media)
+
+    def media(self) -> BinMedia:
+        """Return what is made of the bins beside their records."""
+        return BinMedia(pictures=self.html, video=self.video, video_limit=self.video_limit, recording=self.rerun)
 
 
 def main(args: Arguments) -> int:
     """Run the job; return the exit code."""
     try:
         config, job = args.config(), args.job()
-        if args.budget and args.rerun is not None:
-            raise ValueError("a budget records none; leave out --rerun, or record one without --budget")
-        if args.video is not None:
-            check_video(args.video)
-        if args.rerun is not None:
-            check_recording(args.rerun)
+        args.media().check(evaluations=len(MODES) if args.budget else 1)
         runs = budget_jobs(config, job) if args.budget else {args.perception: (config, job)}
         parts = [each.check() for each, _ in runs.values()]
         if Path(parts[0].source).suffix:  # a file, not a name of the catalogue
@@ -107,9 +106,9 @@ def main(args: Arguments) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     if args.budget:
-        print(conclude_budget(records, runs, job, args.json))
+        print(conclude_budget(records, runs, job, numbers=args.json, html=args.html))
     else:
-        print(conclude(records[args.perception], config, job, args.json))
+        print(conclude(records[args.perception], config, job, numbers=args.json, html=args.html))
     return 0
 
 

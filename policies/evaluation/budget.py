@@ -8,7 +8,7 @@ import numpy as np
 
 from binpick_env.config import Perception
 from perception.runtime.files import json_text, write_atomically
-from policies.evaluation.bin_evaluation import EvaluationConfig
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import Job
 from policies.evaluation.records import BinRecord
 from policies.evaluation.statistics import paired_ratio_difference
@@ -62,15 +62,7 @@ class Budget:
 
 
 def budget_jobs(config: EvaluationConfig, job: Job) -> Runs:
-    """Return the evaluations of a budget, each with its own folder below the job's.
-
-    Raises:
-        ValueError: A film is wanted: the three would overwrite each other's.
-    """
-    if job.video is not None:
-        raise ValueError(
-            "a budget is three evaluations and films none; leave out --video, or film one without --budget"
-        )
+    """Return the evaluations of a budget, each with its own folder below the job's."""
     return {mode: (replace(config, perception=mode), replace(job, out=job.out / mode)) for mode in MODES}
 
 

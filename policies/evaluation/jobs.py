@@ -1,6 +1,6 @@
-"""The map over bins: in this process or in many, resumable, one file a bin.
+"""The map over bins: in this process or in several, resumable, one file per bin.
 
-Today the processes are this machine's; another scheduler would map :func:`evaluate_bin` likewise, over (config, index).
+The processes run on one machine; another scheduler would map :func:`evaluate_bin` likewise, over (config, index).
 """
 
 import json
@@ -14,22 +14,16 @@ from binpick_env.jobs.process_map import WorkerError, map_indices
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.records import RecordError
 from perception.runtime.threads import one_core
-from policies.evaluation.bin_evaluation import (
-    BinError,
-    CellMaker,
-    CellShelf,
-    EvaluationConfig,
-    Extras,
-    bin_seed,
-    evaluate_bin,
-    scripted_cell,
-)
+from policies.evaluation.bin_evaluation import BinError, evaluate_bin
+from policies.evaluation.cell import CellCache, CellFactory, scripted_cell
+from policies.evaluation.config import EvaluationConfig, bin_seed
+from policies.evaluation.listeners import BinListener, ListenerFactory
 from policies.evaluation.records import BinRecord, load_record, record_path, save_record
 from policies.grasping.outcomes import PickResult
 
 _log = logging.getLogger(__name__)
 CONFIG_FILE = "config.json"
-_shelf = CellShelf(scripted_cell)  # of a worker process; it goes with the process
+_cells = CellCache(scripted_cell)  # a worker process's; the cell is closed with the process
 
 
 class FolderError(ValueError):
@@ -38,38 +32,33 @@ class FolderError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """How an evaluation is carried out; none of it changes the records' numbers, wall clock aside.
+    """How an evaluation is carried out; nothing here changes the records' numbers, apart from wall clock.
 
     Attributes:
-        out: Folder of the records; bins that lie there already are not computed again.
-        bins: How many; more may be asked for later.
-        workers: Processes; 1 computes in this one.
-        pictures: Whether to keep pictures beside the records.
-        video: mp4 file to film bin 0 into; that bin is then computed again.
-        video_limit: Length of the film in simulated time [s].
-        rerun: rrd file to record bin 0 into; that bin is then computed again.
-        fresh: Compute every bin, those that lie there already too.
+        out: Folder of the records; bins whose records it holds already are not computed again.
+        bins: Number of bins; a later job in the same folder may ask for more.
+        workers: Number of processes; 1 computes in this one.
+        fresh: Whether every bin is computed, even if its record exists already.
+        listeners: Makes the listeners that follow each bin, such as pictures; None for none.
     """
 
     out: Path
     bins: int = 10
     workers: int = 1
-    pictures: bool = True
-    video: Path | None = None
-    video_limit: float = 60.0
-    rerun: Path | None = None
     fresh: bool = False
+    listeners: ListenerFactory | None = None
 
     def __post_init__(self) -> None:
         if self.bins < 1 or self.workers < 1:
             raise ValueError(f"bins and workers must be at least 1, got {self.bins} and {self.workers}")
 
-    def extras(self, index: int) -> Extras:
-        """Return what else is made of bin ``index``."""
-        pictures = self.out if self.pictures else None
-        if index != 0:
-            return Extras(pictures=pictures)
-        return Extras(pictures=pictures, video=self.video, video_limit=self.video_limit, rerun=self.rerun)
+    def bin_listeners(self, index: int) -> Sequence[BinListener]:
+        """Return new listeners for bin ``index``."""
+        return () if self.listeners is None else self.listeners.listeners(index, self.out)
+
+    def must_compute(self, index: int) -> bool:
+        """Return whether bin ``index`` is computed even if its record exists already."""
+        return self.fresh or (self.listeners is not None and self.listeners.needs_bin(index))
 
 
 def run_job(
@@ -77,7 +66,7 @@ def run_job(
     job: Job,
     on_bin: Callable[[BinRecord], None] | None = None,
     on_pick: Callable[[PickResult], None] | None = None,
-    make_cell: CellMaker = scripted_cell,
+    make_cell: CellFactory = scripted_cell,
     on_found: Callable[[Sequence[BinRecord]], None] | None = None,
 ) -> list[BinRecord]:
     """Return the records of all bins, in order; those that are missing are computed and kept one by one.
@@ -98,8 +87,7 @@ def run_job(
     claim_folder(config, job.out)
     found: dict[int, BinRecord] = {}
     for index in range(job.bins):
-        to_show = index == 0 and (job.video is not None or job.rerun is not None)
-        record = None if to_show or job.fresh else stored_record(config, index, job.out)
+        record = None if job.must_compute(index) else stored_record(config, index, job.out)
         if record is not None:
             found[index] = record
     if found and on_found is not None:
@@ -166,17 +154,19 @@ def _here(
     job: Job,
     missing: list[int],
     on_pick: Callable[[PickResult], None] | None,
-    make_cell: CellMaker,
+    make_cell: CellFactory,
 ) -> Iterator[BinRecord]:
-    with CellShelf(make_cell) as shelf:
+    with CellCache(make_cell) as cells:
         for index in missing:
             with one_core():
-                record = evaluate_bin(config, index, job.extras(index), on_pick, shelf)
+                record = evaluate_bin(config, index, job.bin_listeners(index), on_pick, cells)
             save_record(record, job.out)
             yield record
 
 
-def _in_processes(config: EvaluationConfig, job: Job, missing: list[int], make_cell: CellMaker) -> Iterator[BinRecord]:
+def _in_processes(
+    config: EvaluationConfig, job: Job, missing: list[int], make_cell: CellFactory
+) -> Iterator[BinRecord]:
     try:
         yield from map_indices(partial(_work, config, job), missing, job.workers, _start_worker, (make_cell,))
     except WorkerError as error:
@@ -184,12 +174,12 @@ def _in_processes(config: EvaluationConfig, job: Job, missing: list[int], make_c
 
 
 def _work(config: EvaluationConfig, job: Job, index: int) -> BinRecord:
-    record = evaluate_bin(config, index, job.extras(index), None, _shelf)
+    record = evaluate_bin(config, index, job.bin_listeners(index), None, _cells)
     save_record(record, job.out)
     return record
 
 
-def _start_worker(make_cell: CellMaker) -> None:
+def _start_worker(make_cell: CellFactory) -> None:
     """Keep one cell for all bins of this process."""
-    global _shelf
-    _shelf = CellShelf(make_cell)
+    global _cells
+    _cells = CellCache(make_cell)

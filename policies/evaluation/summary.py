@@ -11,7 +11,7 @@ import numpy as np
 from binpick_env.scenes.clutter import pooled_clutter
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, versions
-from policies.evaluation.bin_evaluation import EvaluationConfig
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.failure_attribution import Blame
 from policies.evaluation.frame_summary import over_bins, summarise_sight
 from policies.evaluation.records import BinRecord

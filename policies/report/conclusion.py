@@ -1,4 +1,4 @@
-"""The end of a job: records become files, and the text that is printed."""
+"""The end of a job: records become JSON, pages and the text that is printed."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from binpick_env.config import Perception
-from policies.evaluation.bin_evaluation import EvaluationConfig
 from policies.evaluation.budget import Runs, make_budget, save_budget
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import Job
 from policies.evaluation.records import BinRecord
 from policies.evaluation.summary import Summary, save_summary, summarise
@@ -16,46 +16,62 @@ from policies.report.budget_report import budget_table, write_budget_report
 from policies.report.report import write_report
 
 
-def conclude(records: Sequence[BinRecord], config: EvaluationConfig, job: Job, numbers: Path | None = None) -> str:
-    """Write an evaluation's numbers, and its page if it has pictures; return what is to be printed.
+def conclude(
+    records: Sequence[BinRecord],
+    config: EvaluationConfig,
+    job: Job,
+    *,
+    numbers: Path | None = None,
+    html: bool = True,
+) -> str:
+    """Write an evaluation's numbers and its page; return the text to print.
 
     Args:
-        records: Of all bins, in order.
-        config: Theirs.
-        job: How they were made.
-        numbers: File of the numbers; ``results.json`` in the job's folder unless given.
+        records: Records of all bins, in order.
+        config: Configuration that the records were made with.
+        job: Job that made the records.
+        numbers: JSON file to write the numbers to; None writes ``results.json`` in the job's folder.
+        html: Whether ``report.html`` is written into the job's folder.
     """
     numbers = numbers or job.out / "results.json"
-    return "\n".join([result_table(_keep(records, config, job, numbers)), *_files(job, numbers, "report.html")])
+    summary = _write(records, config, job, numbers, html)
+    return "\n".join([result_table(summary), *_files(numbers, job.out / "report.html" if html else None)])
 
 
 def conclude_budget(
-    records: Mapping[Perception, Sequence[BinRecord]], runs: Runs, job: Job, numbers: Path | None = None
+    records: Mapping[Perception, Sequence[BinRecord]],
+    runs: Runs,
+    job: Job,
+    *,
+    numbers: Path | None = None,
+    html: bool = True,
 ) -> str:
-    """Write the numbers and pages of three evaluations and of what lies between them; return what is to be printed.
+    """Write the numbers and pages of three evaluations and of their comparison; return the text to print.
 
     Args:
-        records: Of the same bins, by perception.
-        runs: The evaluations; see `policies.evaluation.budget.budget_jobs`.
-        job: The whole.
-        numbers: File of the comparison; ``budget.json`` in the job's folder unless given.
+        records: Records of the same bins, by perception.
+        runs: The evaluations, as `policies.evaluation.budget.budget_jobs` returns them.
+        job: Job that the evaluations were made from; its folder holds theirs.
+        numbers: JSON file to write the comparison to; None writes ``budget.json`` in the job's folder.
+        html: Whether the pages are written into the folders.
     """
     numbers = numbers or job.out / "budget.json"
-    modes = {mode: _keep(records[mode], *run, run[1].out / "results.json") for mode, run in runs.items()}
+    modes = {mode: _write(records[mode], *run, run[1].out / "results.json", html) for mode, run in runs.items()}
     budget = make_budget(records, modes, np.random.default_rng(next(iter(modes.values())).seed))
     save_budget(numbers, budget)
-    if job.pictures:
-        write_budget_report(job.out / "budget.html", budget)
-    return "\n".join([budget_table(budget), *_files(job, numbers, "budget.html")])
+    page = job.out / "budget.html" if html else None
+    if page is not None:
+        write_budget_report(page, budget)
+    return "\n".join([budget_table(budget), *_files(numbers, page)])
 
 
-def _keep(records: Sequence[BinRecord], config: EvaluationConfig, job: Job, numbers: Path) -> Summary:
+def _write(records: Sequence[BinRecord], config: EvaluationConfig, job: Job, numbers: Path, html: bool) -> Summary:
     summary = summarise(records, config, np.random.default_rng(config.seed))
     save_summary(numbers, summary)
-    if job.pictures:
+    if html:
         write_report(job.out / "report.html", summary, records, job.out)
     return summary
 
 
-def _files(job: Job, numbers: Path, page: str) -> list[str]:
-    return [f"numbers   {numbers}", *([f"report    {job.out / page}"] if job.pictures else [])]
+def _files(numbers: Path, page: Path | None) -> list[str]:
+    return [f"numbers   {numbers}", *([] if page is None else [f"report    {page}"])]

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from binpick_env.evaluation.pose.pictures import RIGHT, WRONG, outline
 from binpick_env.evaluation.segmentation.pictures import prediction_colours
 from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord
-from binpick_env.observation.observed_candidates import ObservedCandidates
 from binpick_env.observation.perceiver import LabelledCapture
 from binpick_env.observation.pixel_perceiver import point_owners
 from perception.frame import Frame
@@ -18,7 +17,7 @@ from perception.geometry import Floats, invert_transform, project_points, transf
 from perception.instance import labels_of
 from perception.part import PartModel
 from perception.pose.model.appearances import SeenEdges, edge_appearances
-from policies.evaluation.frame_record import FrameRecord
+from policies.evaluation.listeners import Decision
 from policies.grasping.outcomes import GraspCandidate
 
 if TYPE_CHECKING:
@@ -81,31 +80,24 @@ class Crop:
         self.strokes(ends[None], colour, thickness)
 
 
-def pick_picture(
-    labelled_capture: LabelledCapture,
-    observed: ObservedCandidates,
-    judged: FrameRecord,
-    grasp: GraspCandidate | None,
-    edges: SeenEdges,
-) -> Picture:
+def pick_picture(decision: Decision, edges: SeenEdges) -> Picture:
     """Return the square BGR picture of a decision.
 
-    Around a grasp it shows the candidate that was chosen and the jaw; where nothing was tried, the whole bin and all
-    candidates. Groups have the colour of the part that they are, red and white stripes where they are none; outlines
-    of right poses are green, those of wrong ones red.
+    An attempt's picture is centred on the grasp and shows the chosen candidate and the jaw. An abstention's picture
+    shows the whole bin and all candidates. A segment has the colour of the part that it matches, and red and white
+    stripes if it matches none. Outlines of correct poses are green, those of wrong poses red.
 
     Args:
-        labelled_capture: That was decided on.
-        observed: What perception made of it.
-        judged: The same, judged.
-        grasp: What was tried; None for an abstention.
-        edges: Of the part.
+        decision: The decision, with the frame that it was made on.
+        edges: Edges of the part, as `part_edges` returns them.
     """
+    labelled_capture, observed, grasp = decision.labelled_capture, decision.observed, decision.result.grasp
+    recorded = decision.frame_record.candidates
     frame = labelled_capture.capture.frame
     if grasp is None:
         bin_edge = float(labelled_capture.workspace.inner_size[:2].max()) + 2 * BIN_MARGIN
         crop = Crop(frame, labelled_capture.workspace.T_world_bin[:3, 3], bin_edge)
-        shown = list(range(len(judged.candidates)))
+        shown = list(range(len(recorded)))
     else:
         crop = Crop(frame, grasp.T_world_grasp[:3, 3], CROP)
         shown = [grasp.candidate]
@@ -115,7 +107,7 @@ def pick_picture(
     T_cam_world = invert_transform(frame.T_world_cam)
     for k in shown:
         T_cam_part = T_cam_world @ observed.candidates[k].T_world_part
-        colour = RIGHT if judged.candidates[k].right else WRONG
+        colour = RIGHT if recorded[k].right else WRONG
         crop.strokes(outline(T_cam_part, edges, frame.K, (0, 0)), colour, thickness=1 if grasp is None else 2)
     if grasp is not None:
         crop.jaw(grasp)

@@ -1,6 +1,5 @@
-"""Pictures that people look at: the bin before and after, and every decision."""
+"""Pictures of a bin for the report: before the first decision, after the last, and one of every decision."""
 
-import time
 from pathlib import Path
 
 import cv2
@@ -9,56 +8,51 @@ import numpy as np
 from binpick_env.cell.render import PicturePainter, look_at
 from binpick_env.cell.simulation import Simulation
 from binpick_env.env import BinPickEnv
-from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture
 from perception.geometry import Floats
-from policies.evaluation.frame_record import FrameRecord
-from policies.grasping.outcomes import GraspCandidate
+from policies.evaluation.listeners import BinListener, Decision
 from policies.report.pick_picture import part_edges, pick_picture
 
 OVERVIEW = (640, 480)  # width and height [px]
 QUALITY = {".jpg": (cv2.IMWRITE_JPEG_QUALITY, 82), ".webp": (cv2.IMWRITE_WEBP_QUALITY, 80)}
 
 
-class Album:
-    """Keeps a bin's pictures beside its record: views as .jpg, decisions as .webp; without a folder nothing."""
+class Album(BinListener):
+    """Writes a bin's pictures beside its record: views of the bin as .jpg, decisions as .webp."""
 
-    def __init__(self, folder: Path | None, stem: str) -> None:
+    def __init__(self, folder: Path, stem: str) -> None:
+        """Write nothing yet.
+
+        Args:
+            folder: Folder of the pictures; it is made with the first one.
+            stem: Beginning of the pictures' file names.
+        """
         self._folder, self._stem = folder, stem
-        self.seconds = 0.0  # wall clock spent here
 
-    def overview(self, env: BinPickEnv, moment: str) -> str:
-        """Keep a view into the bin and return the file's name, "" if there is no folder."""
-        if self._folder is None:
-            return ""
-        start = time.perf_counter()
+    def bin_settled(self, env: BinPickEnv) -> str:
+        """Write a view of the settled bin and return the file's name."""
+        return self._write_view(env, "before")
+
+    def after_decision(self, env: BinPickEnv, decision: Decision) -> str:  # noqa: ARG002
+        """Write the picture of a decision and return the file's name."""
+        picture = pick_picture(decision, part_edges(decision.labelled_capture.part))
+        return self._write(picture, f"pick_{decision.number:02d}.webp")
+
+    def bin_ended(self, env: BinPickEnv) -> str:
+        """Write a view of the bin at its end and return the file's name."""
+        return self._write_view(env, "after")
+
+    def _write_view(self, env: BinPickEnv, moment: str) -> str:
         picture = PicturePainter(env.simulation).paint(bin_viewpoint(env.simulation), *OVERVIEW)
-        return self._keep(self._folder, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), f"{moment}.jpg", start)
+        return self._write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), f"{moment}.jpg")
 
-    def decision(
-        self,
-        labelled_capture: LabelledCapture,
-        observed: ObservedCandidates,
-        judged: FrameRecord,
-        grasp: GraspCandidate | None,
-        number: int,
-    ) -> str:
-        """Keep the picture of a bin's decision ``number`` and return the file's name, "" if there is no folder."""
-        if self._folder is None:
-            return ""
-        start = time.perf_counter()
-        picture = pick_picture(labelled_capture, observed, judged, grasp, part_edges(labelled_capture.part))
-        return self._keep(self._folder, picture, f"pick_{number:02d}.webp", start)
-
-    def _keep(self, folder: Path, picture: cv2.typing.MatLike, name: str, start: float) -> str:
-        folder.mkdir(parents=True, exist_ok=True)
+    def _write(self, picture: cv2.typing.MatLike, name: str) -> str:
+        self._folder.mkdir(parents=True, exist_ok=True)
         file = f"{self._stem}_{name}"
         suffix = Path(file).suffix
         coded, data = cv2.imencode(suffix, picture, QUALITY[suffix])
         if not coded:
             raise RuntimeError(f"OpenCV could not encode {file}")
-        (folder / file).write_bytes(data.tobytes())
-        self.seconds += time.perf_counter() - start
+        (self._folder / file).write_bytes(data.tobytes())
         return file
 
 

@@ -1,92 +1,69 @@
-"""A recording of a cell as an .rrd file for Rerun's viewer: what is, what the robot sees, and what it does."""
+"""A recording of a bin as an .rrd file for Rerun's viewer: the cell, what the robot sees, and what it does."""
 
 import importlib
-import time
-from contextlib import AbstractContextManager
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
 from binpick_env.env import BinPickEnv
-from policies.grasping.outcomes import PickResult
-from policies.picking.episode import Picker
-from policies.report.video import WatchedEnv
+from policies.evaluation.listeners import BinListener, Decision
 
 if TYPE_CHECKING:
     from policies.report.recording_scene import SceneLog
 
 
-class Recording(AbstractContextManager["Recording"]):
-    """Records every step, frame and decision of one bin; the file appears when it is whole.
+class Recording(BinListener):
+    """Records every step, frame and decision of one bin; the file appears when it is complete."""
 
-    It reads the cell and changes nothing of it: the bin goes as it would go unrecorded.
-    """
-
-    def __init__(self, path: Path | None, env: BinPickEnv) -> None:
-        """Begin a recording of ``env``, or none at all without a path.
+    def __init__(self, path: Path) -> None:
+        """Check that the file can be written; it is opened when the bin has settled.
 
         Args:
-            path: Of the .rrd; its folder is made.
-            env: A :class:`WatchedEnv` if there is a path; it may be anywhere in its episode.
+            path: Path of the .rrd; its folder is made.
 
         Raises:
-            ValueError: The file cannot be written, or the environment cannot be watched.
-            ModuleNotFoundError: The extra ``viz`` is not installed; the text tells how.
+            ValueError: The file cannot be written.
+            ModuleNotFoundError: The extra ``viz`` is not installed; the text tells how to install it.
         """
-        self.seconds = 0.0  # wall clock spent on recording while the bin went on
-        self._path, self._env = path, env
-        self._log: SceneLog | None = None
-        self._picks = 0  # decisions that have begun
-        self._began = 0.0  # when the last of them did, simulated [s]
-        self._frame_id = -1
-        if path is None:
-            return
-        if not isinstance(env, WatchedEnv):
-            raise ValueError(f"only a WatchedEnv can be recorded, got {type(env).__name__}")
         check_recording(path)
-        scene = importlib.import_module(
-            "policies.report.recording_scene"
-        )  # needs Rerun, an extra that nothing else needs
-        self._log = scene.SceneLog(_draft(path), env)
-        env.watch(self)
+        self._path = path
+        self._log: SceneLog | None = None
+        self._decisions = 0  # decisions that have begun
+        self._decision_start = 0.0  # simulated time at which the last one began [s]
+        self._frame_id = -1
 
-    def around(self, picker: Picker) -> Picker:
-        """Return ``picker``, its decisions recorded."""
-        return picker if self._log is None else _RecordedPicker(picker, self)
+    def bin_settled(self, env: BinPickEnv) -> str:
+        """Open the file and write the shapes of the cell."""
+        scene = importlib.import_module("policies.report.recording_scene")  # needs Rerun, an extra
+        self._log = scene.SceneLog(_draft(self._path), env)
+        return ""
 
-    def before_pick(self) -> None:
+    def before_decision(self, env: BinPickEnv) -> None:
         """Record the frame that a decision is about to be made on."""
-        self._look(self._env)
-        self._picks += 1
-        self._began = self._env.simulation.time
-
-    def after_pick(self, result: PickResult) -> None:
-        """Record what was decided and what came of it."""
-        began = time.perf_counter()
-        if self._log is not None:
-            self._log.decision(self._picks - 1, self._began, result)
-        self.seconds += time.perf_counter() - began
+        self.after_step(env)
+        self._decisions += 1
+        self._decision_start = env.simulation.time
 
     def after_step(self, env: BinPickEnv) -> None:
-        """Record where everything is, and the frame if one has been taken."""
-        self._look(env)
+        """Record the state of the cell, and the frame if a new one has been taken."""
+        if self._log is None:
+            return
+        self._log.step()
+        if env.frame_id != self._frame_id:
+            self._frame_id = env.frame_id
+            self._log.frame(self._decisions)
 
-    def _look(self, env: BinPickEnv) -> None:
-        began = time.perf_counter()
+    def after_decision(self, env: BinPickEnv, decision: Decision) -> str:  # noqa: ARG002
+        """Record what was decided and how the attempt ended."""
         if self._log is not None:
-            self._log.step()
-            if env.frame_id != self._frame_id:
-                self._frame_id = env.frame_id
-                self._log.frame(self._picks)
-        self.seconds += time.perf_counter() - began
+            self._log.decision(decision.number, self._decision_start, decision.result)
+        return ""
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self._log is None or self._path is None:
+        if self._log is None:
             return
-        if isinstance(self._env, WatchedEnv):
-            self._env.unwatch(self)  # the next bin is not recorded
         try:
             if error is None:
                 self._log.close()
@@ -96,22 +73,6 @@ class Recording(AbstractContextManager["Recording"]):
         finally:
             _draft(self._path).unlink(missing_ok=True)
             self._log = None
-
-
-class _RecordedPicker:
-    """Passes decisions on and has them recorded."""
-
-    def __init__(self, picker: Picker, recording: Recording) -> None:
-        self._picker, self._recording = picker, recording
-
-    def reset(self) -> None:
-        self._picker.reset()
-
-    def pick(self) -> PickResult:
-        self._recording.before_pick()
-        result = self._picker.pick()
-        self._recording.after_pick(result)
-        return result
 
 
 def check_recording(path: Path) -> None:

@@ -13,7 +13,8 @@ from binpick_env.jobs.text_tables import columns
 from perception.geometry import Floats
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, versions
-from policies.evaluation.bin_evaluation import Cell, EvaluationConfig, watched_env
+from policies.evaluation.cell import Cell, watched_env
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import Job, run_job
 from policies.evaluation.records import BinRecord
 from policies.evaluation.statistics import Rate, paired_ratio_difference, rate

@@ -17,7 +17,8 @@ from perception.geometry import Floats, camera_matrix, invert_transform, make_tr
 from perception.instance import Instance
 from perception.part import PartModel
 from perception.pipeline import Perception
-from policies.evaluation.bin_evaluation import Cell, EvaluationConfig
+from policies.evaluation.cell import Cell
+from policies.evaluation.config import EvaluationConfig
 from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
 from policies.picking.episode import BinResult, Termination
 

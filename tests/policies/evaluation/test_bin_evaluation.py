@@ -8,20 +8,16 @@ import pytest
 import trimesh
 
 from binpick_env.config import CameraConfig
+from binpick_env.observation.perceiver import PoseNoise
 from perception.runtime.records import RecordError
-from policies.evaluation.bin_evaluation import (
-    BinError,
-    Cell,
-    CellShelf,
-    EvaluationConfig,
-    bin_seed,
-    evaluate_bin,
-    scripted_cell,
-)
+from policies.evaluation.bin_evaluation import BinError, evaluate_bin
+from policies.evaluation.cell import Cell, CellCache, scripted_cell
+from policies.evaluation.config import EvaluationConfig, bin_seed
 from policies.evaluation.jobs import FolderError, Job, run_job
 from policies.evaluation.records import BinRecord, load_record, record_path, save_record
 from policies.evaluation.tables import found_note
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
+from policies.picking.settings import PickerSettings
 from tests.policies.fake_cell import FakeEnv, ScriptPicker, abstain, attempt, broken_cell, dice_cell
 
 CONFIG = EvaluationConfig(num_parts=(6, 6))
@@ -49,13 +45,13 @@ def test_a_bins_seed_follows_from_seed_and_index_alone() -> None:
 
 
 def test_every_record_is_that_of_its_own_seed(tmp_path: Path) -> None:
-    records = run_job(CONFIG, Job(out=tmp_path, bins=3, pictures=False), make_cell=dice_cell)
+    records = run_job(CONFIG, Job(out=tmp_path, bins=3), make_cell=dice_cell)
     assert [record.seed for record in records] == [bin_seed(0, index) for index in range(3)]
 
 
 def test_the_records_do_not_depend_on_the_workers(tmp_path: Path) -> None:
-    alone = run_job(CONFIG, Job(out=tmp_path / "1", bins=4, pictures=False), make_cell=dice_cell)
-    many = run_job(CONFIG, Job(out=tmp_path / "2", bins=4, workers=2, pictures=False), make_cell=dice_cell)
+    alone = run_job(CONFIG, Job(out=tmp_path / "1", bins=4), make_cell=dice_cell)
+    many = run_job(CONFIG, Job(out=tmp_path / "2", bins=4, workers=2), make_cell=dice_cell)
     assert [outcome_of(r) for r in alone] == [outcome_of(r) for r in many]
 
 
@@ -69,7 +65,7 @@ def test_a_record_keeps_the_facts_of_each_decision() -> None:
         script = attempt(GraspOutcome.MISSED), abstain(Abstention.IK_INFEASIBLE), delivered, delivered
         return Cell(env, ScriptPicker(env, *script))  # type: ignore[arg-type]
 
-    record = evaluate_bin(CONFIG, 3, shelf=CellShelf(make))
+    record = evaluate_bin(CONFIG, 3, cells=CellCache(make))
     assert [pick.outcome for pick in record.picks] == ["missed", None, "delivered", "delivered"]
     assert record.picks[1].abstention == "ik_infeasible"
     assert (record.picks[0].width, record.picks[0].opening, record.picks[0].score) == (0.03, 0.05, 0.7)
@@ -87,7 +83,7 @@ def test_each_frame_is_judged_once_and_failures_are_blamed() -> None:
         script = attempt(GraspOutcome.MISSED), abstain(Abstention.IK_INFEASIBLE), delivered, delivered
         return Cell(env, ScriptPicker(env, *script))  # type: ignore[arg-type]
 
-    record = evaluate_bin(CONFIG, 3, shelf=CellShelf(make))
+    record = evaluate_bin(CONFIG, 3, cells=CellCache(make))
     assert [frame.frame_id for frame in record.frames] == [0, 1, 2, 3]  # a look after the abstention, none at the end
     assert [pick.frame_id for pick in record.picks] == [0, 1, 2, 3]
     assert [pick.blame for pick in record.picks] == ["grasp", None, None, None]
@@ -105,12 +101,12 @@ def test_two_decisions_on_one_frame_judge_it_once() -> None:
         env.look = lambda: None  # type: ignore[method-assign]
         return Cell(env, ScriptPicker(env, abstain(), abstain()))  # type: ignore[arg-type]
 
-    record = evaluate_bin(CONFIG, 3, shelf=CellShelf(make))
+    record = evaluate_bin(CONFIG, 3, cells=CellCache(make))
     assert (len(record.picks), len(record.frames)) == (2, 1)
 
 
 def test_a_record_survives_its_file(tmp_path: Path) -> None:
-    record = evaluate_bin(CONFIG, 0, shelf=CellShelf(dice_cell))
+    record = evaluate_bin(CONFIG, 0, cells=CellCache(dice_cell))
     assert load_record(save_record(record, tmp_path)) == record
     assert [path.name for path in tmp_path.iterdir()] == ["bin_0000.json"]  # no draft is left
 
@@ -119,8 +115,8 @@ def test_the_cell_is_closed_and_decisions_are_reported() -> None:
     env = FakeEnv(parts=1)
     seen: list[PickResult] = []
     made = Cell(env, ScriptPicker(env, attempt(GraspOutcome.DELIVERED)))  # type: ignore[arg-type]
-    with CellShelf(lambda _: made) as shelf:
-        evaluate_bin(CONFIG, 0, on_pick=seen.append, shelf=shelf)
+    with CellCache(lambda _: made) as cells:
+        evaluate_bin(CONFIG, 0, on_pick=seen.append, cells=cells)
         assert not env.closed
     assert env.closed
     assert len(seen) == 1
@@ -128,12 +124,12 @@ def test_the_cell_is_closed_and_decisions_are_reported() -> None:
 
 def test_a_crash_names_the_bin_and_its_seed() -> None:
     with pytest.raises(BinError, match=rf"bin 2 \(seed {bin_seed(0, 2)}\) failed: FloatingPointError: the physics"):
-        evaluate_bin(CONFIG, 2, shelf=CellShelf(broken_cell))
+        evaluate_bin(CONFIG, 2, cells=CellCache(broken_cell))
 
 
 def test_a_crash_in_a_worker_names_the_bin_and_its_seed(tmp_path: Path) -> None:
     with pytest.raises(BinError, match=r"bin \d \(seed \d+\) failed: FloatingPointError"):
-        run_job(CONFIG, Job(out=tmp_path, bins=2, workers=2, pictures=False), make_cell=broken_cell)
+        run_job(CONFIG, Job(out=tmp_path, bins=2, workers=2), make_cell=broken_cell)
 
 
 # --- one cell for many bins ----------------------------------------------------------------------------------------
@@ -146,26 +142,26 @@ def test_one_cell_serves_all_bins_and_is_closed(tmp_path: Path) -> None:
         cells.append(dice_cell(config))
         return cells[-1]
 
-    records = run_job(CONFIG, Job(out=tmp_path, bins=3, pictures=False), make_cell=make)
+    records = run_job(CONFIG, Job(out=tmp_path, bins=3), make_cell=make)
     (cell,) = cells
     assert cell.env.closed  # type: ignore[attr-defined]
-    assert outcome_of(evaluate_bin(CONFIG, 2, shelf=CellShelf(dice_cell))) == outcome_of(records[2])
+    assert outcome_of(evaluate_bin(CONFIG, 2, cells=CellCache(dice_cell))) == outcome_of(records[2])
 
 
 def test_another_configuration_and_a_crash_get_another_cell() -> None:
     made: list[int] = []
-    shelf = CellShelf(counted(made))
-    first = shelf.cell(CONFIG)
-    assert shelf.cell(CONFIG) is first
-    assert shelf.cell(dataclasses.replace(CONFIG, seed=1)) is not first
+    cells = CellCache(counted(made))
+    first = cells.cell(CONFIG)
+    assert cells.cell(CONFIG) is first
+    assert cells.cell(dataclasses.replace(CONFIG, seed=1)) is not first
     assert first.env.closed  # type: ignore[attr-defined]
 
     def crash(result: PickResult) -> None:
         raise FloatingPointError("one\ntwo")
 
     with pytest.raises(BinError, match="FloatingPointError: one two"):
-        evaluate_bin(CONFIG, 0, on_pick=crash, shelf=shelf)
-    shelf.cell(CONFIG)
+        evaluate_bin(CONFIG, 0, on_pick=crash, cells=cells)
+    cells.cell(CONFIG)
     assert len(made) == 4
 
 
@@ -176,9 +172,9 @@ def test_a_bin_alone_equals_the_same_bin_after_others() -> None:
     def facts(record: BinRecord) -> list[tuple[object, ...]]:
         return [(p.outcome, p.abstention, p.part, p.width, p.score, p.t_motion, p.frame_id) for p in record.picks]
 
-    with CellShelf(scripted_cell) as shelf:
-        evaluate_bin(config, 0, shelf=shelf)
-        after = evaluate_bin(config, 1, shelf=shelf)
+    with CellCache(scripted_cell) as cells:
+        evaluate_bin(config, 0, cells=cells)
+        after = evaluate_bin(config, 1, cells=cells)
     alone = evaluate_bin(config, 1)
     assert facts(after) == facts(alone)
     assert (after.delivered, after.clutter) == (alone.delivered, alone.clutter)
@@ -188,7 +184,7 @@ def test_evaluation_computes_on_one_core_and_restores_the_threads(tmp_path: Path
     before, seen = cv2.getNumThreads(), []
     cv2.setNumThreads(2)
     try:
-        run_job(CONFIG, Job(out=tmp_path, bins=1, pictures=False), None, lambda _: seen.append(cv2.getNumThreads()),
+        run_job(CONFIG, Job(out=tmp_path, bins=1), None, lambda _: seen.append(cv2.getNumThreads()),
                 dice_cell)  # fmt: skip
         assert cv2.getNumThreads() == 2
     finally:
@@ -200,17 +196,17 @@ def test_evaluation_computes_on_one_core_and_restores_the_threads(tmp_path: Path
 
 
 def test_finished_bins_are_not_computed_again(tmp_path: Path) -> None:
-    first = run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
+    first = run_job(CONFIG, Job(out=tmp_path, bins=2), make_cell=dice_cell)
     made: list[int] = []
-    second = run_job(CONFIG, Job(out=tmp_path, bins=3, pictures=False), make_cell=counted(made))
+    second = run_job(CONFIG, Job(out=tmp_path, bins=3), make_cell=counted(made))
     assert second[:2] == first
     assert len(made) == 1
 
 
 def test_what_was_found_is_told_and_fresh_computes_it_again(tmp_path: Path) -> None:
-    run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
+    run_job(CONFIG, Job(out=tmp_path, bins=2), make_cell=dice_cell)
     told: list[int] = []
-    job = Job(out=tmp_path, bins=3, pictures=False)
+    job = Job(out=tmp_path, bins=3)
     run_job(CONFIG, job, make_cell=dice_cell, on_found=lambda found: told.append(len(found)))
     assert told == [2]
     made: list[int] = []
@@ -220,27 +216,27 @@ def test_what_was_found_is_told_and_fresh_computes_it_again(tmp_path: Path) -> N
 
 
 def test_the_note_warns_of_other_code() -> None:
-    record = dataclasses.replace(evaluate_bin(CONFIG, 0, shelf=CellShelf(dice_cell)), git_commit="aaa")
+    record = dataclasses.replace(evaluate_bin(CONFIG, 0, cells=CellCache(dice_cell)), git_commit="aaa")
     assert found_note([record], 3, "aaa") == "1 of 3 bins were there already, made by commit aaa"
     assert "\nWARNING  this code is commit bbb: --fresh computes" in found_note([record], 3, "bbb")
 
 
 @pytest.mark.parametrize("damage", ["", "{", '{"version": 2}', '{"version": 0}', "[]", "cut", "frame"])
 def test_a_damaged_record_is_computed_again(tmp_path: Path, damage: str, caplog: pytest.LogCaptureFixture) -> None:
-    first = run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
+    first = run_job(CONFIG, Job(out=tmp_path, bins=2), make_cell=dice_cell)
     path = record_path(tmp_path, 1)
     whole = path.read_text()
     cut = {"cut": whole[:-40], "frame": whole.replace('"visible_fractions"', '"visible"')}
     path.write_text(cut.get(damage, damage))
     with caplog.at_level(logging.WARNING):
-        second = run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
+        second = run_job(CONFIG, Job(out=tmp_path, bins=2), make_cell=dice_cell)
     assert [outcome_of(r) for r in first] == [outcome_of(r) for r in second]
     assert load_record(path) == second[1]
     assert "bin 1 is computed again" in caplog.text
 
 
 def test_a_record_with_an_unknown_word_is_refused(tmp_path: Path) -> None:
-    path = save_record(evaluate_bin(CONFIG, 0, shelf=CellShelf(dice_cell)), tmp_path)
+    path = save_record(evaluate_bin(CONFIG, 0, cells=CellCache(dice_cell)), tmp_path)
     values = json.loads(path.read_text())
     values["picks"][0]["outcome"] = "vanished"
     path.write_text(json.dumps(values))
@@ -249,22 +245,22 @@ def test_a_record_with_an_unknown_word_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_record_of_another_bin_is_not_taken(tmp_path: Path) -> None:
-    run_job(CONFIG, Job(out=tmp_path, bins=1, pictures=False), make_cell=dice_cell)
+    run_job(CONFIG, Job(out=tmp_path, bins=1), make_cell=dice_cell)
     record_path(tmp_path, 1).write_text(record_path(tmp_path, 0).read_text())
-    records = run_job(CONFIG, Job(out=tmp_path, bins=2, pictures=False), make_cell=dice_cell)
+    records = run_job(CONFIG, Job(out=tmp_path, bins=2), make_cell=dice_cell)
     assert records[1].index == 1
 
 
 def test_another_configuration_in_the_folder_is_refused(tmp_path: Path) -> None:
-    run_job(CONFIG, Job(out=tmp_path, bins=1, pictures=False), make_cell=dice_cell)
+    run_job(CONFIG, Job(out=tmp_path, bins=1), make_cell=dice_cell)
     other = dataclasses.replace(CONFIG, seed=1, sensor="none")
     with pytest.raises(FolderError, match=r"seed: 0 there, 1 here, sensor: good there, none here.*--out"):
-        run_job(other, Job(out=tmp_path, bins=1, pictures=False), make_cell=dice_cell)
+        run_job(other, Job(out=tmp_path, bins=1), make_cell=dice_cell)
 
 
 def test_a_damaged_note_of_the_configuration_is_written_anew(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text("{")
-    run_job(CONFIG, Job(out=tmp_path, bins=1, pictures=False), make_cell=dice_cell)
+    run_job(CONFIG, Job(out=tmp_path, bins=1), make_cell=dice_cell)
     assert json.loads((tmp_path / "config.json").read_text())["hash"] == CONFIG.digest()
 
 
@@ -277,7 +273,7 @@ def test_an_interrupt_loses_no_finished_bin(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_job(CONFIG, Job(out=tmp_path, bins=5, pictures=False), on_bin=interrupted, make_cell=dice_cell)
+        run_job(CONFIG, Job(out=tmp_path, bins=5), on_bin=interrupted, make_cell=dice_cell)
     assert sorted(path.name for path in tmp_path.glob("bin_*.json")) == ["bin_0000.json", "bin_0001.json"]
 
 
@@ -286,7 +282,7 @@ def test_an_interrupt_stops_the_workers(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_job(CONFIG, Job(out=tmp_path, bins=3, workers=2, pictures=False), on_bin=interrupt, make_cell=dice_cell)
+        run_job(CONFIG, Job(out=tmp_path, bins=3, workers=2), on_bin=interrupt, make_cell=dice_cell)
     assert list(tmp_path.glob("bin_*.json"))
 
 
@@ -308,6 +304,26 @@ def test_the_digest_sees_every_setting() -> None:
     digests = {dataclasses.replace(CONFIG, **{name: value}).digest() for name, value in changes.items()}
     assert len({*digests, CONFIG.digest()}) == len(changes) + 1
     assert EvaluationConfig(num_parts=(6, 6)).digest() == CONFIG.digest()
+
+
+def test_the_digests_of_earlier_versions_are_kept() -> None:
+    """Golden: by the code of commit 3e3d809. Folders of earlier runs could not be resumed if a digest changed."""
+    assert EvaluationConfig().digest() == "cee6e1433f6814fb"
+    config = EvaluationConfig(
+        part="part_b",
+        unit="mm",
+        symmetry="none",
+        density=900.0,
+        seed=7,
+        perception="oracle",
+        sensor="harsh",
+        num_parts=(6, 8),
+        camera=CameraConfig(width=640, height=480, hand_eye=0.01, backend="rays"),
+        pose_noise=PoseNoise(translation=0.001, rotation=0.02),
+        picker=PickerSettings(grasps_tried=10),
+        bin=(0.3, 0.2, 0.1),
+    )
+    assert config.digest() == "c99b4c186f05ea43"
 
 
 def test_the_digest_sees_the_part_files_contents(tmp_path: Path) -> None:

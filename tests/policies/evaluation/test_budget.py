@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from binpick_env.config import Perception
-from policies.evaluation.bin_evaluation import EvaluationConfig
 from policies.evaluation.budget import MODES, Budget, Runs, budget_jobs, make_budget
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import Job, run_job
 from policies.evaluation.records import BinRecord
 from policies.evaluation.summary import summarise
@@ -30,7 +30,7 @@ PICKS: dict[Perception, list[list[PickResult]]] = {
 
 
 def runs(out: Path) -> Runs:
-    return budget_jobs(CONFIG, Job(out=out, bins=2, pictures=False))
+    return budget_jobs(CONFIG, Job(out=out, bins=2))
 
 
 def made(out: Path, picks: dict[Perception, list[list[PickResult]]] = PICKS) -> dict[Perception, list[BinRecord]]:
@@ -55,11 +55,6 @@ def test_each_way_of_seeing_has_its_own_folder_and_the_same_bins(tmp_path: Path)
     assert list(jobs) == ["oracle", "gt_masks", "learned"]
     for mode, (config, job) in jobs.items():
         assert (config.perception, config.seed, job.out, job.bins) == (mode, 31, tmp_path / mode, 2)
-
-
-def test_a_film_of_three_evaluations_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="a budget is three evaluations and films none; leave out --video"):
-        budget_jobs(CONFIG, Job(out=tmp_path, video=tmp_path / "film.mp4"))
 
 
 def test_a_cost_is_the_difference_of_the_printed_numbers(tmp_path: Path) -> None:
@@ -127,24 +122,23 @@ def test_the_page_links_to_each_way_of_seeing(tmp_path: Path) -> None:
 
 
 def test_a_job_ends_in_numbers_a_page_and_a_text(tmp_path: Path) -> None:
-    for pictures in (False, True):
-        job = Job(out=tmp_path / str(pictures), bins=2, pictures=False)
+    for html in (True, False):
+        job = Job(out=tmp_path / str(html), bins=2)
         records = run_job(CONFIG, job, make_cell=dice_cell)
-        shown = Job(out=job.out, bins=2, pictures=pictures)
-        text = conclude(records, CONFIG, shown)
-        assert (job.out / "report.html").exists() == pictures
+        text = conclude(records, CONFIG, job, html=html)
+        assert (job.out / "report.html").exists() == html
         assert json.loads((job.out / "results.json").read_text())["bins"] == 2
-        assert text.splitlines()[-1 - pictures] == f"numbers   {job.out / 'results.json'}"
-    assert conclude(records, CONFIG, job, tmp_path / "n.json").endswith(f"numbers   {tmp_path / 'n.json'}")
+        assert text.splitlines()[-1 - html] == f"numbers   {job.out / 'results.json'}"
+    text = conclude(records, CONFIG, job, numbers=tmp_path / "n.json", html=False)
+    assert text.endswith(f"numbers   {tmp_path / 'n.json'}")
     assert (tmp_path / "n.json").exists()
 
 
 def test_a_budget_ends_in_numbers_pages_and_a_text(tmp_path: Path) -> None:
-    job = Job(out=tmp_path, bins=2, pictures=False)
+    job = Job(out=tmp_path, bins=2)
     jobs = budget_jobs(CONFIG, job)
     records = {mode: run_job(*run, make_cell=dice_cell) for mode, run in jobs.items()}
-    shown = budget_jobs(CONFIG, Job(out=tmp_path, bins=2))
-    text = conclude_budget(records, shown, Job(out=tmp_path, bins=2))
+    text = conclude_budget(records, jobs, job)
     assert text.splitlines()[-2:] == [f"numbers   {tmp_path / 'budget.json'}", f"report    {tmp_path / 'budget.html'}"]
     values = json.loads((tmp_path / "budget.json").read_text())
     assert values["costs"]["pose"]["gsr"] == {"value": 0.0, "low": 0.0, "high": 0.0}  # the dice see nothing
@@ -152,5 +146,6 @@ def test_a_budget_ends_in_numbers_pages_and_a_text(tmp_path: Path) -> None:
     for mode in MODES:
         assert (tmp_path / mode / "report.html").exists()
         assert json.loads((tmp_path / mode / "results.json").read_text())["config"]["perception"] == mode
-    assert conclude_budget(records, jobs, job, tmp_path / "n.json").endswith(f"numbers   {tmp_path / 'n.json'}")
+    text = conclude_budget(records, jobs, job, numbers=tmp_path / "n.json", html=False)
+    assert text.endswith(f"numbers   {tmp_path / 'n.json'}")
     assert (tmp_path / "n.json").exists()

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from policies.evaluation.bin_evaluation import BinError, Cell, EvaluationConfig
+from policies.evaluation.bin_evaluation import BinError
+from policies.evaluation.cell import Cell
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import Job, run_job
 from policies.evaluation.records import BinRecord
 from tests.policies.fake_cell import dice_cell
@@ -18,7 +20,7 @@ def killed_cell(config: EvaluationConfig) -> Cell:
 
 
 def test_a_killed_worker_is_said_in_plain_words(tmp_path: Path) -> None:
-    job = Job(out=tmp_path, bins=3, workers=2, pictures=False)
+    job = Job(out=tmp_path, bins=3, workers=2)
     with pytest.raises(BinError, match=r"^a worker was killed, perhaps for want of memory; try fewer workers$"):
         run_job(EvaluationConfig(num_parts=(6, 6)), job, make_cell=killed_cell)
     assert list(tmp_path.glob("bin_*.json")) == []
@@ -30,7 +32,7 @@ def test_records_come_and_lie_on_disk_as_they_are_finished(tmp_path: Path) -> No
     def look(record: BinRecord) -> None:
         on_disk.append((tmp_path / f"bin_{record.index:04d}.json").exists())
 
-    job = Job(out=tmp_path, bins=3, workers=2, pictures=False)
+    job = Job(out=tmp_path, bins=3, workers=2)
     records = run_job(EvaluationConfig(num_parts=(6, 6)), job, look, make_cell=dice_cell)
     assert on_disk == [True] * 3
     assert [record.index for record in records] == [0, 1, 2]

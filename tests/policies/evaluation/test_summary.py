@@ -7,7 +7,7 @@ import pytest
 from binpick_env.jobs.text_tables import columns
 from perception.metrics.intervals import wilson_interval
 from perception.runtime.files import json_text
-from policies.evaluation.bin_evaluation import EvaluationConfig
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.frame_record import CandidateRecord, FrameRecord
 from policies.evaluation.records import BinRecord
 from policies.evaluation.summary import Summary, summarise

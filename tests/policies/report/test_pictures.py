@@ -1,7 +1,6 @@
 """What is drawn of a decision, and what is kept of it."""
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -12,8 +11,11 @@ from numpy.typing import NDArray
 from binpick_env.evaluation.pose.pictures import RIGHT, WRONG
 from binpick_env.evaluation.segmentation.pictures import part_colours
 from binpick_env.observation.observed_candidates import ObservedCandidates
+from binpick_env.observation.perceiver import LabelledCapture
 from perception.geometry import make_transform
 from policies.evaluation.frame_record import judge_frame
+from policies.evaluation.listeners import Decision
+from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
 from policies.report import pictures
 from policies.report.pick_picture import CROP, CROP_PX, Crop, pick_picture
 from policies.report.pictures import Album
@@ -38,6 +40,16 @@ def extent_mm(mask: NDArray[np.bool_], axis: int) -> list[float]:
     return ((places - CROP_PX / 2) / CROP_PX * 1000 * CROP).tolist()
 
 
+def decision(
+    view: LabelledCapture, found: ObservedCandidates, grasp: GraspCandidate | None = None, number: int = 0
+) -> Decision:
+    """An attempt on ``grasp``, or an abstention, decided on ``view``."""
+    outcome = {"abstention": Abstention.NO_CANDIDATE} if grasp is None else {"outcome": GraspOutcome.DELIVERED}
+    result = PickResult(grasp=grasp, **outcome)  # type: ignore[arg-type]
+    record = judge_frame(0, view, found)
+    return Decision(number=number, labelled_capture=view, observed=found, frame_record=record, result=result)
+
+
 def near(picture: NDArray[np.uint8], colour: tuple[int, ...], by: int = 60) -> NDArray[np.bool_]:
     return np.asarray(np.abs(picture.astype(int) - np.array(colour)).max(axis=2) < by)
 
@@ -57,7 +69,7 @@ def test_the_chosen_pose_lies_where_it_is_in_the_colour_of_its_verdict(error: fl
     view = labelled_capture(np.array([1.0, 1.0]))
     moved = make_transform(translation=(error, 0.0, 0.0))
     told = ObservedCandidates(candidates=[candidate(view, 0, moved), candidate(view, 1)])
-    picture = pick_picture(view, told, judge_frame(0, view, told), grasp(), Corners())
+    picture = pick_picture(decision(view, told, grasp()), Corners())
     drawn = near(picture, colour)
     middle = 1000 * error * 0.9 / 0.89  # the upper face is 10 mm nearer to the camera
     face = 25 * 0.9 / 0.89
@@ -73,7 +85,7 @@ def test_points_have_the_colour_of_the_part_that_their_group_is() -> None:
     told = observed(view, [list(range(80, 130)), list(range(130, 200))], [candidate(view, 0)])
     looked_at = grasp()
     object.__setattr__(looked_at, "T_world_grasp", make_transform(np.diag([1.0, -1, -1]), (0.41, 0.18, 0.0)))
-    picture = pick_picture(view, told, judge_frame(0, view, told), looked_at, Corners())
+    picture = pick_picture(decision(view, told, looked_at), Corners())
     crop = Crop(frame(), np.array([0.41, 0.18, 0.0]), CROP)
     columns = np.flatnonzero(near(picture, tuple(part_colours(3)[1].tolist()), by=20).any(axis=0))
     first, last = (crop.scale * (u - 79.5 - 20) + CROP_PX / 2 for u in (79.5, 129.5))
@@ -85,7 +97,7 @@ def test_where_nothing_was_tried_the_whole_bin_is_shown_with_all_candidates() ->
     told = ObservedCandidates(
         candidates=[candidate(view, 0), candidate(view, 1, make_transform(translation=(0.0, 0.02, 0.0)))]
     )
-    picture = pick_picture(view, told, judge_frame(0, view, told), None, Corners())
+    picture = pick_picture(decision(view, told), Corners())
     assert near(picture, RIGHT, 90).any()
     assert near(picture, WRONG, 90).any()
     both = near(picture, RIGHT, 90) | near(picture, WRONG, 90)
@@ -96,22 +108,15 @@ def test_where_nothing_was_tried_the_whole_bin_is_shown_with_all_candidates() ->
 def test_an_empty_bin_has_a_picture() -> None:
     view = labelled_capture(np.empty(0))
     told = observed(view, [], [])
-    assert pick_picture(view, told, judge_frame(0, view, told), None, Corners()).shape == (CROP_PX, CROP_PX, 3)
-
-
-def test_an_album_without_a_folder_keeps_nothing() -> None:
-    album = Album(None, "bin")
-    view = labelled_capture(np.array([1.0]))
-    assert album.decision(view, ObservedCandidates(), judge_frame(0, view, ObservedCandidates()), None, 0) == ""
-    assert album.overview(SimpleNamespace(), "before") == ""  # type: ignore[arg-type]
-    assert album.seconds == 0.0
+    assert pick_picture(decision(view, told), Corners()).shape == (CROP_PX, CROP_PX, 3)
 
 
 def test_an_album_writes_what_opencv_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pictures, "part_edges", lambda part: Corners())
     view = labelled_capture(np.array([1.0]))
     told = ObservedCandidates(candidates=[candidate(view, 0)])
-    name = Album(tmp_path / "new", "bin_0007").decision(view, told, judge_frame(0, view, told), grasp(), 4)
+    env: Any = None
+    name = Album(tmp_path / "new", "bin_0007").after_decision(env, decision(view, told, grasp(), number=4))
     assert name == "bin_0007_pick_04.webp"
     picture = cv2.imread(str(tmp_path / "new" / name))
     assert picture is not None
@@ -122,5 +127,6 @@ def test_a_picture_that_cannot_be_encoded_is_said(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(pictures, "part_edges", lambda part: Corners())
     monkeypatch.setattr(pictures.cv2, "imencode", lambda *_: (False, None))
     view = labelled_capture(np.array([1.0]))
+    env: Any = None
     with pytest.raises(RuntimeError, match=r"OpenCV could not encode bin_pick_00\.webp"):
-        Album(tmp_path, "bin").decision(view, ObservedCandidates(), judge_frame(0, view, ObservedCandidates()), None, 0)
+        Album(tmp_path, "bin").after_decision(env, decision(view, ObservedCandidates()))

@@ -1,6 +1,7 @@
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,20 +10,14 @@ import pytest
 from binpick_env.config import CONTROL_PERIOD, CameraConfig
 from binpick_env.env import BinPickEnv
 from perception.geometry import matrix_from_quat
-from policies.evaluation.bin_evaluation import (
-    BinError,
-    CellShelf,
-    EvaluationConfig,
-    Extras,
-    evaluate_bin,
-    scripted_cell,
-)
-from policies.evaluation.jobs import Job
+from policies.evaluation.bin_evaluation import BinError, evaluate_bin
+from policies.evaluation.cell import CellCache, scripted_cell
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.records import BinRecord
+from policies.evaluation.watched_env import WatchedEnv
 from policies.grasping.outcomes import PickResult
 from policies.report.recording import Recording, check_recording
-from policies.report.video import WatchedEnv
-from tests.policies.fake_cell import FakeEnv, ScriptPicker, abstain
+from tests.policies.fake_cell import abstain
 from tests.policies.report.rrd_file import RrdFile
 
 CONFIG = EvaluationConfig(
@@ -32,7 +27,7 @@ LINKS = {"shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wri
 
 
 class Recorded(NamedTuple):
-    shelf: CellShelf
+    cells: CellCache
     env: WatchedEnv
     record: BinRecord
     results: list[PickResult]
@@ -46,10 +41,10 @@ class Recorded(NamedTuple):
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
     folder = tmp_path_factory.mktemp("recording")
     results: list[PickResult] = []
-    with CellShelf(scripted_cell) as shelf:
+    with CellCache(scripted_cell) as cells:
         path = folder / "new" / "bin.rrd"
-        record = evaluate_bin(CONFIG, 0, Extras(rerun=path), results.append, shelf)
-        env = shelf.cell(CONFIG).env
+        record = evaluate_bin(CONFIG, 0, [Recording(path)], results.append, cells)
+        env = cells.cell(CONFIG).env
         assert isinstance(env, WatchedEnv)
         simulation = env.simulation
         bodies = {name: simulation.model.body(name).id for name in LINKS}
@@ -57,7 +52,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
             name: (simulation.data.xpos[k].copy(), simulation.data.xmat[k].reshape(3, 3).copy())
             for name, k in bodies.items()
         }
-        yield Recorded(shelf, env, record, results, simulation.time, links, RrdFile(path), path.parent)
+        yield Recorded(cells, env, record, results, simulation.time, links, RrdFile(path), path.parent)
 
 
 def numbers(record: BinRecord) -> dict[str, Any]:
@@ -92,7 +87,7 @@ def test_nothing_but_the_whole_file_is_left(recorded: Recorded) -> None:
 
 def test_recording_changes_nothing(recorded: Recorded) -> None:
     assert recorded.env.watchers == ()  # the next bin is not recorded
-    again = evaluate_bin(CONFIG, 0, shelf=recorded.shelf)
+    again = evaluate_bin(CONFIG, 0, cells=recorded.cells)
     assert recorded.record.delivered == 2
     assert numbers(again) == numbers(recorded.record)
 
@@ -187,12 +182,13 @@ def test_outcomes_are_logged_when_they_are_known(recorded: Recorded) -> None:
 def test_abstentions_are_logged_as_such(recorded: Recorded, tmp_path: Path) -> None:
     env = recorded.env
     env.reset(seed=5)
-    with Recording(tmp_path / "bin.rrd", env) as recording:
-        picker = recording.around(ScriptPicker(FakeEnv(), abstain(), abstain()))
-        picker.reset()
-        picker.pick()
-        env.look()
-        picker.pick()
+    with Recording(tmp_path / "bin.rrd") as recording:
+        recording.bin_settled(env)
+        for number in range(2):
+            recording.before_decision(env)
+            decided: Any = SimpleNamespace(number=number, result=abstain())
+            recording.after_decision(env, decided)
+            env.look()
     file = RrdFile(tmp_path / "bin.rrd")
     texts = [f"pick {k}: nothing tried, no candidate" for k in range(2)]
     assert [row for _, (row,) in file.rows("/log", "TextLog:text", "pick")] == texts
@@ -227,25 +223,18 @@ def test_a_bin_that_fails_leaves_no_file(recorded: Recorded, tmp_path: Path) -> 
     def fail(result: PickResult) -> None:
         raise FloatingPointError("the physics diverged")
 
-    with CellShelf(lambda config: recorded.shelf.cell(CONFIG)) as shelf:
-        shelf.close = lambda: None  # type: ignore[method-assign]  # the module's cell stays open
+    with CellCache(lambda config: recorded.cells.cell(CONFIG)) as cells:
+        cells.close = lambda: None  # type: ignore[method-assign]  # the module's cell stays open
         with pytest.raises(BinError, match="the physics diverged"):
-            evaluate_bin(CONFIG, 0, Extras(rerun=tmp_path / "bin.rrd"), fail, shelf)
+            evaluate_bin(CONFIG, 0, [Recording(tmp_path / "bin.rrd")], fail, cells)
     assert list(tmp_path.iterdir()) == []
     assert recorded.env.watchers == ()
 
 
-def test_without_a_path_nothing_is_recorded() -> None:
-    env: Any = FakeEnv()
-    picker = ScriptPicker(env, abstain())
-    with Recording(None, env) as recording:
-        assert recording.around(picker) is picker  # type: ignore[arg-type]
-    assert recording.seconds == 0.0
-
-
-def test_only_the_first_bin_is_recorded(tmp_path: Path) -> None:
-    job = Job(out=tmp_path, bins=2, rerun=tmp_path / "bin.rrd")
-    assert [job.extras(k).rerun for k in range(2)] == [tmp_path / "bin.rrd", None]
+def test_a_bin_that_fails_before_it_has_settled_leaves_no_file(tmp_path: Path) -> None:
+    with pytest.raises(FloatingPointError), Recording(tmp_path / "bin.rrd"):
+        raise FloatingPointError
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_cannot_be_recorded_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -257,8 +246,8 @@ def test_what_cannot_be_recorded_is_refused(tmp_path: Path, monkeypatch: pytest.
     (tmp_path / "file").touch()
     with pytest.raises(ValueError, match=r"no recording can be written to .*bin\.rrd: .*(exists|directory)"):
         check_recording(tmp_path / "file" / "bin.rrd")
-    with pytest.raises(ValueError, match="only a WatchedEnv can be recorded, got FakeEnv"):
-        Recording(tmp_path / "bin.rrd", FakeEnv())  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="must end in"):
+        Recording(tmp_path / "bin.mp4")
     check_recording(tmp_path / "new" / "bin.rrd")
     assert list((tmp_path / "new").iterdir()) == []  # the trial leaves nothing
 

@@ -14,9 +14,9 @@ from binpick_env.camera.view import visible_geoms
 from binpick_env.config import CameraConfig
 from binpick_env.evaluation.segmentation.pictures import part_colours
 from perception.geometry import make_transform, transform_points
+from policies.evaluation.watched_env import WatchedEnv
 from policies.report.recording_motion import drawn, pack
 from policies.report.recording_scene import CLOUD_POINTS, SceneLog, geom_mesh, is_whole, shaded_mesh
-from policies.report.video import WatchedEnv
 from tests.policies.fake_cell import observed
 from tests.policies.report.rrd_file import RrdFile
 

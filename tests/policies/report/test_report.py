@@ -9,7 +9,7 @@ import pytest
 
 from binpick_env.jobs.report_style import tile
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from policies.evaluation.bin_evaluation import EvaluationConfig
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.frame_record import FrameRecord, judge_frame
 from policies.evaluation.records import BinRecord
 from policies.evaluation.summary import summarise

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from policies.evaluation.bin_evaluation import Cell, EvaluationConfig
+from policies.evaluation.cell import Cell
+from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import FolderError, Job
 from policies.evaluation.records import BinRecord
 from policies.selection.evaluation import (
@@ -34,7 +35,7 @@ def cell(spec: str, config: EvaluationConfig) -> Cell:
 def evaluated(
     tmp_path: Path, bins: int = 3, specs: Sequence[str] = ("random", "weighted")
 ) -> dict[str, list[BinRecord]]:
-    job = Job(out=tmp_path, bins=bins, pictures=False)
+    job = Job(out=tmp_path, bins=bins)
     return evaluate_selectors(CONFIG, job, specs, make_cell=cell)
 
 
@@ -44,7 +45,7 @@ def scored(record: BinRecord, delivered: int, total: int = 10) -> BinRecord:
 
 def test_every_selector_picks_the_same_bins_into_its_own_folder(tmp_path: Path) -> None:
     told: list[tuple[str, int]] = []
-    job = Job(out=tmp_path, bins=2, pictures=False)
+    job = Job(out=tmp_path, bins=2)
     records = evaluate_selectors(
         CONFIG, job, ["random", "weighted"], lambda name, r: told.append((name, r.index)), make_cell=cell
     )
@@ -158,7 +159,7 @@ def test_without_a_gain_there_is_no_share(tmp_path: Path) -> None:
 def test_hindsights_bins_are_kept_with_their_tries(tmp_path: Path) -> None:
     """Picked in the real cell, and read back from its folder."""
     config = EvaluationConfig(perception="oracle", seed=31, num_parts=(1, 1), bin=(0.3, 0.2, 0.1))
-    job = Job(out=tmp_path, bins=1, pictures=False)
+    job = Job(out=tmp_path, bins=1)
     made: list[Cell] = []
 
     def real(spec: str, config: EvaluationConfig) -> Cell:

@@ -1,0 +1,76 @@
+"""The settings of an evaluation: all that its records depend on."""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from binpick_env.config import BinConfig, CameraConfig, CellConfig, Perception, SensorPreset
+from binpick_env.observation.perceiver import PoseNoise, make_perceiver
+from binpick_env.parts import Part, Unit, load_part
+from policies.picking.settings import PickerSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationConfig:
+    """All that a bin's record depends on, apart from its index: neither the number of bins nor of processes is here."""
+
+    part: str = "tee"  # catalogue name, or path of an STL, OBJ or PLY file
+    unit: Unit | None = None  # unit of a part file's coordinates; None guesses metres or millimetres
+    symmetry: Literal["detect", "none"] = "detect"  # whether rotational symmetry is looked for in a part file's shape
+    density: float | None = None  # [kg/m^3]; None takes the catalogue's, or aluminium's for a file
+    seed: int = 0  # seed of the whole evaluation; see `bin_seed`
+    perception: Perception = "learned"  # where candidates come from: pixels, true segments or true poses
+    sensor: SensorPreset = "good"  # noise of the depth camera
+    num_parts: tuple[int, int] = (20, 30)  # smallest and largest number of parts in a bin
+    camera: CameraConfig = field(default_factory=CameraConfig)  # image size, place and rendering of the camera
+    pose_noise: PoseNoise = field(default_factory=PoseNoise)  # error of the poses where perception is "oracle"
+    picker: PickerSettings = field(default_factory=PickerSettings)  # how grasps are planned
+    bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; None is the standard bin
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ValueError(f"seed must not be negative, got {self.seed}")
+        self.cell()
+        low, high = self.num_parts
+        if not 1 <= low <= high:
+            raise ValueError(f"num_parts must be a rising pair from 1, got {self.num_parts}")
+
+    def digest(self) -> str:
+        """Return a hash of every setting, and of the part file's contents where the part is a file."""
+        values = asdict(self)
+        path = Path(self.part)
+        if path.suffix and path.is_file():
+            values["part"] = hashlib.sha256(path.read_bytes()).hexdigest()
+        return hashlib.sha256(json.dumps(values, sort_keys=True, default=repr).encode()).hexdigest()[:16]
+
+    def cell(self) -> CellConfig:
+        """Return the settings of the cell, except for the camera's."""
+        return CellConfig() if self.bin is None else CellConfig(bin=BinConfig(inner_size=self.bin))
+
+    def load_part(self) -> Part:
+        """Load the part with its unit, symmetry and density."""
+        return load_part(self.part, unit=self.unit, symmetry=self.symmetry, density=self.density)
+
+    def check(self) -> Part:
+        """Load what the configuration names, before any worker starts, and return the part.
+
+        Raises:
+            ValueError: There is no such part or perception mode, the part's file is not usable, or there are no weights
+                for it where perception is "learned".
+            FileNotFoundError: The part's file does not exist.
+        """
+        part = self.load_part()
+        make_perceiver(self.perception, part.model, self.cell().bin.workspace(), self.pose_noise)
+        return part
+
+
+def bin_seed(seed: int, index: int) -> int:
+    """Return the seed of bin ``index``: numpy's SeedSequence over (seed, index), so that no two evaluations overlap.
+
+    The seed depends on nothing else: neither on the number of bins or workers, nor on their order.
+    """
+    return int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
