@@ -51,11 +51,10 @@ class CellCache(AbstractContextManager["CellCache"]):
 def watched_env(config: EvaluationConfig) -> WatchedEnv:
     """Build the environment of ``config``; it computes on one thread, see `perception.runtime.threads`."""
     return WatchedEnv(
-        part=config.load_part(),
+        part=config.options().load_part(),
         num_parts=config.num_parts,
         perception=config.perception,
         sensor=config.sensor,
-        camera=config.camera,
         pose_noise=config.pose_noise,
         config=config.cell(),
         render_mode="rgb_array",

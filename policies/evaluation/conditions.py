@@ -1,14 +1,23 @@
-"""Under what conditions bins were picked, for the line above the numbers."""
+"""The conditions under which bins were picked, for the line above the numbers."""
 
 from collections.abc import Mapping
 from typing import Any
 
 
 def conditions(config: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return perception and sensor of an evaluation's plain configuration, and whatever made its bins harder."""
+    """Return perception and sensor of an evaluation, and every setting of the cell that is not the standard one.
+
+    Args:
+        config: Fields of an :class:`policies.evaluation.config.EvaluationConfig` as plain values, by name; those of
+            earlier versions have no jaw and no friction.
+    """
     facts = [str(config["perception"]), f"sensor {config['sensor']}"]
     if hand_eye := config["camera"]["hand_eye"]:
         facts.append(f"hand-eye {1000 * hand_eye:g} mm")
     if size := config["bin"]:
         facts.append("bin " + " x ".join(f"{1000 * edge:g}" for edge in size) + " mm")
+    if jaw := config.get("jaw"):
+        facts.append(f"jaw {1000 * jaw:g} mm")
+    if (friction := config.get("friction")) is not None:
+        facts.append(f"friction {friction:g}")
     return tuple(facts)

@@ -2,16 +2,21 @@
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from binpick_env.config import BinConfig, CameraConfig, CellConfig, Perception, SensorPreset
+from binpick_env.config import CameraConfig, CellConfig, Perception, SensorPreset
 from binpick_env.observation.perceiver import PoseNoise, make_perceiver
-from binpick_env.parts import Part, Unit, load_part
+from binpick_env.options import CellOptions
+from binpick_env.parts.part import Part
+from binpick_env.parts.unit import Unit
 from policies.picking.settings import PickerSettings
+
+# Fields that the digest leaves out where they are None, so that folders of older runs keep their digest.
+_NEWER_FIELDS = ("jaw", "friction")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,11 +35,13 @@ class EvaluationConfig:
     pose_noise: PoseNoise = field(default_factory=PoseNoise)  # error of the poses where perception is "oracle"
     picker: PickerSettings = field(default_factory=PickerSettings)  # how grasps are planned
     bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; None is the standard bin
+    jaw: float | None = None  # largest opening of the jaw [m]; None is the gripper's own
+    friction: float | None = None  # sliding friction coefficient of parts, bin and tray; None is the cell's own
 
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise ValueError(f"seed must not be negative, got {self.seed}")
-        self.cell()
+        self.options()
         low, high = self.num_parts
         if not 1 <= low <= high:
             raise ValueError(f"num_parts must be a rising pair from 1, got {self.num_parts}")
@@ -42,18 +49,31 @@ class EvaluationConfig:
     def digest(self) -> str:
         """Return a hash of every setting, and of the part file's contents where the part is a file."""
         values = asdict(self)
+        for name in _NEWER_FIELDS:
+            if values[name] is None:
+                del values[name]
         path = Path(self.part)
         if path.suffix and path.is_file():
             values["part"] = hashlib.sha256(path.read_bytes()).hexdigest()
         return hashlib.sha256(json.dumps(values, sort_keys=True, default=repr).encode()).hexdigest()[:16]
 
-    def cell(self) -> CellConfig:
-        """Return the settings of the cell, except for the camera's."""
-        return CellConfig() if self.bin is None else CellConfig(bin=BinConfig(inner_size=self.bin))
+    def options(self) -> CellOptions:
+        """Return the part and the cell, except for the camera's image, as flat values."""
+        return CellOptions(
+            part=self.part,
+            unit=self.unit,
+            symmetry=self.symmetry,
+            density=self.density,
+            bin=self.bin,
+            jaw=self.jaw,
+            camera_distance=self.camera.distance,
+            sensor=self.sensor,
+            friction=self.friction,
+        )
 
-    def load_part(self) -> Part:
-        """Load the part with its unit, symmetry and density."""
-        return load_part(self.part, unit=self.unit, symmetry=self.symmetry, density=self.density)
+    def cell(self) -> CellConfig:
+        """Return the settings of the cell, the camera's included."""
+        return replace(self.options().cell(), camera=self.camera)
 
     def check(self) -> Part:
         """Load what the configuration names, before any worker starts, and return the part.
@@ -63,7 +83,7 @@ class EvaluationConfig:
                 for it where perception is "learned".
             FileNotFoundError: The part's file does not exist.
         """
-        part = self.load_part()
+        part = self.options().load_part()
         make_perceiver(self.perception, part.model, self.cell().bin.workspace(), self.pose_noise)
         return part
 

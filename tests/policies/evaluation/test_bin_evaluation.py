@@ -7,7 +7,7 @@ import cv2
 import pytest
 import trimesh
 
-from binpick_env.config import CameraConfig
+from binpick_env.config import CameraConfig, CellConfig
 from binpick_env.observation.perceiver import PoseNoise
 from perception.runtime.records import RecordError
 from policies.evaluation.bin_evaluation import BinError, evaluate_bin
@@ -300,6 +300,8 @@ def test_the_digest_sees_every_setting() -> None:
         "num_parts": (6, 7),
         "camera": CameraConfig(width=640, height=480),
         "bin": (0.3, 0.2, 0.1),
+        "jaw": 0.06,
+        "friction": 0.3,
     }
     digests = {dataclasses.replace(CONFIG, **{name: value}).digest() for name, value in changes.items()}
     assert len({*digests, CONFIG.digest()}) == len(changes) + 1
@@ -326,6 +328,14 @@ def test_the_digests_of_earlier_versions_are_kept() -> None:
     assert config.digest() == "c99b4c186f05ea43"
 
 
+def test_every_setting_of_the_cell_arrives_in_its_config() -> None:
+    camera = CameraConfig(width=640, height=480, focal=2000.0, distance=0.8)
+    cell = EvaluationConfig(bin=(0.3, 0.2, 0.1), jaw=0.06, friction=0.3, camera=camera).cell()
+    assert (cell.bin.inner_size, cell.robot.jaw, cell.contact.friction[0]) == ((0.3, 0.2, 0.1), 0.06, 0.3)
+    assert cell.camera == camera
+    assert EvaluationConfig().cell() == CellConfig()
+
+
 def test_the_digest_sees_the_part_files_contents(tmp_path: Path) -> None:
     path = tmp_path / "part.stl"
     config = EvaluationConfig(part=str(path))
@@ -340,8 +350,12 @@ def test_nonsense_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         EvaluationConfig(seed=-1)
     with pytest.raises(ValueError, match=r"num_parts must be a rising pair from 1, got \(5, 4\)"):
         EvaluationConfig(num_parts=(5, 4))
-    with pytest.raises(ValueError, match=r"inner_size must be positive, got \(0.3, 0.0, 0.1\)"):
+    with pytest.raises(ValueError, match=r"bin must be .* all positive, got \(0.3, 0.0, 0.1\)"):
         EvaluationConfig(bin=(0.3, 0.0, 0.1))
+    with pytest.raises(ValueError, match=r"jaw must be over 0 and at most 0.085 m, the 2F-85's stroke, got 0.1"):
+        EvaluationConfig(jaw=0.1)
+    with pytest.raises(ValueError, match=r"friction must be from 0 to 2, got 3.0"):
+        EvaluationConfig(friction=3.0)
     with pytest.raises(ValueError, match="bins and workers must be at least 1, got 0 and 1"):
         Job(out=tmp_path, bins=0)
     with pytest.raises(ValueError, match=r"part must be one of .*tee.*, got 'teapot'"):
