@@ -165,7 +165,7 @@ def _open(
     """Return (N,) the index of the widest clear opening, -1 for none, and the smallest clearance [m]."""
     grasps = placed.grasps
     T_bin_tcp = scene.T_bin_world @ gripper.tcp_from_grasp(placed.T_world_grasp, grasps.width)
-    fits = grasps.width[:, None] + 2 * grasps.extras <= settings.max_opening
+    fits = grasps.width[:, None] + 2 * grasps.extras <= min(settings.max_opening, gripper.stroke)
     openings = grasps.width, grasps.extras, grasps.clear & fits, np.array(RETREATS)
     tables = gripper.gaps, gripper.points, gripper.labels
     found: tuple[NDArray[np.int64], Floats] = widest_clear(

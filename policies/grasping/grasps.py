@@ -1,7 +1,7 @@
 """A part's grasps: sampled once on its mesh, checked against the part itself, thinned to an even cover, cached."""
 
 import logging
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import trimesh
@@ -18,6 +18,8 @@ _log = logging.getLogger(__name__)
 _VERSION = 5  # raised whenever the code below would give another set
 _SURFACE_DENSITY = 1.5e6  # points per square metre: five in a cell of 2 mm
 _SYMMETRY_STEPS = 24  # turns about a continuous axis
+_WIDTH_MARGIN = 0.007  # distance of `max_width` from the jaw's largest opening: the smallest extra, twice, and below
+_OPENING_MARGIN = 0.001  # distance of `max_opening` from the jaw's largest opening [m]
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
@@ -25,19 +27,19 @@ _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 class GraspSettings:
     """How grasps are sampled and judged. Lengths [m]."""
 
-    samples: int = 1500  # surface points that lines are shot from
-    turns: int = 16  # approach directions about each line
-    depths: tuple[float, ...] = (0.0, 0.003, 0.007, 0.012, 0.018)  # fingertips beyond the line of contact
-    friction: float = 0.4  # of the cone; the pads' own is 0.6 to 0.7
-    min_width: float = 0.003
-    max_width: float = 0.078
-    extras: tuple[float, ...] = (0.003, 0.005, 0.008, 0.012)  # openings tried: width + twice this
-    max_opening: float = 0.084  # the stroke is 0.085
-    part_margin: float = 0.001  # that the open gripper keeps from the part
-    side_margin: float = 0.002  # beside a closed pad; a pad wedged between two collars does not let go of the part
-    min_area: float = 0.04  # share of a pad's face that must touch
-    max_grasps: int = 4000
-    max_checked: int = 20000  # poses whose pads are closed, drawn evenly from those that do not cut the part
+    samples: int = 1500  # number of surface points that lines are cast from
+    turns: int = 16  # number of approach directions about each line
+    depths: tuple[float, ...] = (0.0, 0.003, 0.007, 0.012, 0.018)  # distances of the fingertips beyond the contact line
+    friction: float = 0.4  # friction coefficient of the cone; the pads' own is 0.6 to 0.7
+    min_width: float = 0.003  # least distance between the pads at contact
+    max_width: float = 0.078  # largest distance between the pads at contact
+    extras: tuple[float, ...] = (0.003, 0.005, 0.008, 0.012)  # room beside the part: openings are width + twice this
+    max_opening: float = 0.084  # largest distance between the pads on the approach; the stroke is 0.085
+    part_margin: float = 0.001  # distance of the open gripper from the part
+    side_margin: float = 0.002  # room beside a closed pad; a pad wedged between two collars does not release the part
+    min_area: float = 0.04  # least share of a pad's face that touches the part
+    max_grasps: int = 4000  # largest number of grasps kept
+    max_checked: int = 20000  # largest number of poses whose pads are closed, drawn evenly from the collision-free ones
 
     def __post_init__(self) -> None:
         for name in ("samples", "turns", "max_grasps", "max_checked"):
@@ -51,6 +53,17 @@ class GraspSettings:
         if not self.depths or not self.extras or list(self.extras) != sorted(self.extras) or min(self.extras) <= 0:
             raise ValueError(f"depths must not be empty and extras must rise from above 0, got {self.extras}")
 
+    def limited_to(self, jaw: float) -> "GraspSettings":
+        """Return the settings for a jaw that opens no wider than ``jaw`` [m], with the margins of the whole stroke."""
+        if jaw - _WIDTH_MARGIN <= self.min_width:
+            least = 1000 * (self.min_width + _WIDTH_MARGIN)
+            raise ValueError(f"jaw must exceed {least:.0f} mm to grasp anything, got {1000 * jaw:.1f} mm")
+        return replace(
+            self,
+            max_width=min(self.max_width, jaw - _WIDTH_MARGIN),
+            max_opening=min(self.max_opening, jaw - _OPENING_MARGIN),
+        )
+
     @property
     def min_cosine(self) -> float:
         """Cosine of the friction cone's half angle."""
@@ -59,14 +72,14 @@ class GraspSettings:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GraspSet:
-    """Grasps on one part, best first. The jaw turned by half about its approach is the same grasp: see :func:`flip`.
+    """Grasps on one part, best first. The jaw turned by half a turn about its approach is the same grasp.
 
     Attributes:
-        T_part_grasp: (G, 4, 4).
+        T_part_grasp: (G, 4, 4) grasp frame in the part frame, see :class:`policies.grasping.outcomes.Grasp`.
         width: (G,) distance between the pads at contact [m].
-        quality: (G,) in [0, 1].
-        extras: (E,) tried openings: width + twice this [m], rising.
-        clear: (G, E) whether approach and closing at this opening keep off the part itself.
+        quality: (G,) quality of the grasp on the lone part in [0, 1].
+        extras: (E,) room beside the part [m], rising; the openings tried are the width plus twice this.
+        clear: (G, E) whether approach and closing at this opening keep clear of the part itself.
         surface: (S, 3) points spread over the part's surface, part frame [m].
     """
 
@@ -94,17 +107,20 @@ class GraspSet:
 
 
 def flip(T_a_grasp: Floats) -> Floats:
-    """Turn (..., 4, 4) grasps by half about their approach: alike for the part, another posture for the arm."""
+    """Turn (..., 4, 4) grasps by half a turn about their approach: the same for the part, not for the arm."""
     return T_a_grasp @ _FLIP
 
 
-def sample_grasps(model: PartModel, settings: GraspSettings | None = None, seed: int = 0) -> GraspSet:
+def sample_grasps(
+    model: PartModel, settings: GraspSettings | None = None, seed: int = 0, *, jaw: float | None = None
+) -> GraspSet:
     """Return the part's grasps from the cache, or sample, check, rate and thin them.
 
     Args:
         model: Any watertight part.
-        settings: Defaults if None.
-        seed: Of the surface samples.
+        settings: Sampling and limits; the defaults if None.
+        seed: Seed of the surface samples.
+        jaw: Largest opening of the jaw [m]; the gripper's whole stroke if None.
 
     Returns:
         At most ``max_grasps``; empty, with a logged warning that counts what each filter left, if the jaw fits nowhere.
@@ -112,8 +128,8 @@ def sample_grasps(model: PartModel, settings: GraspSettings | None = None, seed:
     Note:
         Deterministic. Seconds when computed, milliseconds from the cache.
     """
-    settings = settings or GraspSettings()
-    gripper = gripper_model()
+    settings = _settings_for(settings, jaw)
+    gripper = gripper_model(jaw)
     mesh = np.asarray(model.mesh.vertices), np.asarray(model.mesh.faces)
     group = model.symmetry.elements(_SYMMETRY_STEPS)
     key = digest(_VERSION, trimesh.__version__, settings, seed, *mesh, group, model.centre, gripper.points)
@@ -125,6 +141,26 @@ def sample_grasps(model: PartModel, settings: GraspSettings | None = None, seed:
 
     arrays = cached_arrays("grasps", key, compute)
     return GraspSet(**{name: arrays[name] for name in names})
+
+
+def why_no_grasp(model: PartModel, settings: GraspSettings | None = None, *, jaw: float | None = None) -> str:
+    """Return why :func:`sample_grasps` found nothing on a part, as a sentence for an error message."""
+    settings = _settings_for(settings, jaw)
+    widths = settings.min_width, np.inf
+    first, second = opposite_faces(model.mesh, settings.samples, settings.min_cosine, widths, seed=0)
+    least = float(np.linalg.norm(second - first, axis=1).min(initial=np.inf))
+    found = f"the jaw (stroke {1000 * gripper_model(jaw).stroke:.0f} mm) finds no grasp on {model.name!r}: "
+    if settings.max_width < least < np.inf:
+        return (
+            f"{found}it takes at most {1000 * settings.max_width:.0f} mm between two opposite faces, "
+            f"and the nearest two are {1000 * least:.0f} mm apart"
+        )
+    return f"{found}it needs two opposite faces that its pads can reach"
+
+
+def _settings_for(settings: GraspSettings | None, jaw: float | None) -> GraspSettings:
+    settings = settings or GraspSettings()
+    return settings if jaw is None else settings.limited_to(jaw)
 
 
 def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, seed: int) -> GraspSet:

@@ -1,10 +1,10 @@
 """The 2F-85's geometry as a function of its opening: control, reach of the fingertips, points on its surfaces.
 
-Its linkage carries the fingertips forward by 13 mm along an arc as the jaw closes, so the tcp of a grasp depends on the
+The linkage carries the fingertips forward by 13 mm along an arc as the jaw closes, so the tcp of a grasp depends on the
 grasp's width: ``T_world_tcp = T_world_grasp @ translate(0, 0, -tip_z(width))``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import mujoco
@@ -16,23 +16,23 @@ from binpick_env.cell.robot import FINGER_PADS, GRIPPER, GRIPPER_ACTUATOR, TCP_S
 from binpick_env.config import RobotConfig
 from perception.geometry import Floats, invert_transform, transform_points
 
-LEFT, RIGHT, PALM = 0, 1, 2  # labels of the points; the left finger is the one on the tcp frame's -y side
-PAD_SIZE = (0.022, 0.008, 0.0375)  # of a pad across (x), through (y) and along (z) the finger [m]
-_SETTLE_STEPS = 500  # per control; after 300 the linkage moves by less than 1e-5 m
-_NODES = 25
+LEFT, RIGHT, PALM = 0, 1, 2  # labels of the points; the left finger is on the tcp frame's -y side
+PAD_SIZE = (0.022, 0.008, 0.0375)  # extent of a pad across (x), through (y) and along (z) the finger [m]
+_SETTLE_STEPS = 500  # time steps at each control; after 300 the linkage moves by less than 1e-5 m
+_NODES = 25  # rows of the tables
 _FINE, _MEDIUM, _COARSE = 0.0045, 0.007, 0.014  # spacing of the points on pads, lower links, upper links and palm [m]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GripperModel:
-    """Tables over the openings, tcp frame (z approach, y closing), widest first.
+    """Tables over K openings, widest first, in the tcp frame (z approach, y closing).
 
     Attributes:
         controls: (K,) gripper action in [0, 1], 0 open, rising.
         gaps: (K,) smallest distance between the pads' faces [m], falling; below zero the real pads press on each other.
         tips: (K,) z of the fingertips' ends [m].
-        points: (K, P, 3) points on the collision surfaces (a mesh collides as its convex hull), fingertips first.
-        labels: (P,) LEFT, RIGHT or PALM.
+        points: (K, P, 3) points on the collision surfaces [m], fingertips first; a mesh collides as its convex hull.
+        labels: (P,) finger or palm that each point belongs to: LEFT, RIGHT or PALM.
         pad: (P,) whether the point belongs to a pad, the only place where a part may be touched.
     """
 
@@ -45,8 +45,23 @@ class GripperModel:
 
     @property
     def stroke(self) -> float:
-        """The widest gap [m]."""
+        """Largest distance between the pads [m]."""
         return float(self.gaps[0])
+
+    def limited_to(self, jaw: float) -> "GripperModel":
+        """Return the tables of a jaw that opens no wider than ``jaw`` [m]; their first row is interpolated."""
+        if not jaw > 0:
+            raise ValueError(f"jaw must be positive, got {jaw}")
+        if jaw >= self.stroke:
+            return self
+        narrower = self.gaps < jaw
+        return replace(
+            self,
+            controls=np.append(self.control(jaw), self.controls[narrower]),
+            gaps=np.append(jaw, self.gaps[narrower]),
+            tips=np.append(self.tip_z(jaw), self.tips[narrower]),
+            points=np.concatenate([self.hull_points(jaw)[None], self.points[narrower]]),
+        )
 
     def control(self, gap: float) -> float:
         """Return the gripper action in [0, 1] that brings the pads ``gap`` [m] apart, clipped to the stroke."""
@@ -74,12 +89,25 @@ class GripperModel:
         return T_a_tcp
 
 
-@lru_cache(maxsize=1)
-def gripper_model() -> GripperModel:
-    """Measure the gripper once per process by settling Menagerie's linkage at 25 controls.
+@lru_cache(maxsize=8)
+def gripper_model(jaw: float | None = None) -> GripperModel:
+    """Return the geometry of the gripper.
+
+    Args:
+        jaw: Largest opening of the jaw [m], as in :class:`binpick_env.config.RobotConfig`; the whole stroke if None.
 
     Note:
-        About 0.5 s; deterministic. Contacts are off, so that the table crosses gap zero instead of stopping there.
+        About 0.5 s for the first call of a process; deterministic.
+    """
+    whole = _measured()
+    return whole if jaw is None else whole.limited_to(jaw)
+
+
+@lru_cache(maxsize=1)
+def _measured() -> GripperModel:
+    """Measure the gripper by letting Menagerie's linkage come to rest at 25 controls.
+
+    Contacts are off, so that the table crosses gap zero instead of stopping there.
     """
     model, data = _bare_gripper()
     sampled = _surface_points(model)
@@ -130,7 +158,7 @@ def _bare_gripper() -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 def _surface_points(model: mujoco.MjModel) -> dict[int, Floats]:
-    """Return per collision geom dense (N, 3) points on its convex surface, geom frame."""
+    """Return dense (N, 3) points on each collision geom's convex surface, geom frame [m], by the geom's id."""
     sampled = {}
     for geom in np.flatnonzero(model.geom_contype):
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
@@ -145,7 +173,7 @@ def _surface_points(model: mujoco.MjModel) -> dict[int, Floats]:
 
 
 def _box_points(half: Floats) -> Floats:
-    """Return a grid of about 2.8 mm, corners and edges included, on the surface of a box of (3,) half sizes."""
+    """Return a grid of about 2.8 mm, corners and edges included, on the surface of a box of (3,) half sizes [m]."""
     axes = [np.linspace(-h, h, int(np.ceil(2 * h / 2.8e-3)) + 1) for h in half]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return grid[np.any(np.isclose(np.abs(grid), half), axis=1)]
@@ -165,7 +193,7 @@ def _pad_corners(model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, .
 
 
 def _finger_labels(model: mujoco.MjModel, owner: NDArray[np.int64], points_open: Floats) -> NDArray[np.int64]:
-    """Return (N,) LEFT, RIGHT or PALM: whatever a joint of the gripper moves is a finger, of the side where it is."""
+    """Return (N,) LEFT, RIGHT or PALM: whatever a joint of the gripper moves belongs to the finger on its side."""
     labels = np.full(len(owner), PALM)
     for geom in np.unique(owner):
         body = model.geom_bodyid[geom]

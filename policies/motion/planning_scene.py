@@ -1,7 +1,8 @@
 """The cell without its parts, as the planner sees it: postures in, contacts and tcp poses out.
 
-Two models of one cell: ``model`` (14 joints: six of the arm, eight of the jaw's linkage) answers for collisions at any
-opening of the jaw, ``arm_model`` (six joints, jaw open and rigid) is what inverse kinematics runs on.
+There are two models of one cell. ``model`` (14 joints: six of the arm, eight of the jaw's linkage) detects collisions
+at any opening of the jaw. ``arm_model`` (six joints, the jaw rigid and open by its whole stroke) serves inverse
+kinematics.
 """
 
 from dataclasses import dataclass
@@ -18,19 +19,19 @@ from policies.motion._kernels import box_heights
 DOF = len(ARM_JOINTS)
 MAX_CLEARANCE = 0.03  # contacts with the cell are found up to this distance [m]
 _STATIC, _SHOULDER, _ARM, _JAW = 1, 2, 4, 8  # collision bits: the shoulder meets links only, the jaw never itself
-_DRIVER_RANGE = (0.0, 0.8)  # of the 2F-85's driver joints, open to closed [rad]
+_DRIVER_RANGE = (0.0, 0.8)  # positions of the 2F-85's driver joints, open and closed [rad]
 _BASE_LINK = (0.076, 0.05)  # radius and half height of the arm's base, which Menagerie gives no collision shape [m]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """Two bodies that touch, or come nearer than was asked for.
+    """Two bodies that touch, or come nearer than the clearance.
 
     Attributes:
-        first: Name of the geom, or of its body where the geom has none.
-        second: Likewise.
+        first: Name of one geom, or of its body where the geom has none.
+        second: Name of the other geom or body.
         distance: Signed distance [m]; negative is penetration.
-        gripper_on_cell: Whether it is between the gripper and the cell, so that the tcp's pose alone decides it.
+        gripper_on_cell: Whether the gripper meets the cell, so that the tcp's pose alone decides it.
     """
 
     first: str
@@ -54,9 +55,12 @@ class PlanningScene:
         self._data = mujoco.MjData(self.model)
         self._tcp = self.model.site(TCP_SITE).id
         self._drivers, self._openings = self._calibrate_jaw()
+        jaw = self.config.robot.jaw
+        self._max_opening = float(self._openings[0]) if jaw is None else min(jaw, float(self._openings[0]))
+        self._open_jaw = _linkage(0.0) if jaw is None else self.jaw_posture(jaw)
         mujoco.mj_kinematics(self.model, self._data)
         boxes = (self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX) & (self.model.geom_contype == _STATIC)
-        # Upright, all of them, and they stay where they are.
+        # All boxes are upright and never move.
         self._boxes = self._data.geom_xpos[boxes], self._data.geom_xmat[boxes], self.model.geom_size[boxes]
 
     @property
@@ -72,11 +76,11 @@ class PlanningScene:
     @property
     def max_opening(self) -> float:
         """Distance between the pads when the jaw is fully open [m]."""
-        return float(self._openings[0])
+        return self._max_opening
 
     def jaw_posture(self, opening: float) -> Floats:
         """Return the (8,) joint positions of the jaw's linkage [rad] for a distance between the pads [m], clipped."""
-        driver = np.interp(-opening, -self._openings, self._drivers)
+        driver = np.interp(-min(opening, self._max_opening), -self._openings, self._drivers)
         return _linkage(float(driver))
 
     def tcp_poses(self, q: Floats) -> Floats:
@@ -95,8 +99,8 @@ class PlanningScene:
         Args:
             q: (6,) posture [rad].
             opening: Distance between the pads [m]; None for the open jaw.
-            clearance: Nearer than this to the cell counts as contact [m]; at most ``MAX_CLEARANCE``. Below zero it is
-                how deep the robot may be in the cell, since simulated contacts are soft.
+            clearance: Distance from the cell under which there is contact [m], at most ``MAX_CLEARANCE``. A negative
+                one allows penetration up to that depth, since simulated contacts are soft.
         """
         if not -MAX_CLEARANCE <= clearance <= MAX_CLEARANCE:
             raise ValueError(f"clearance must be in [-{MAX_CLEARANCE}, {MAX_CLEARANCE}] m, got {clearance}")
@@ -127,7 +131,7 @@ class PlanningScene:
     def _place(self, q: Floats, opening: float | None) -> None:
         qpos = self._data.qpos  # the arm's joints come first
         qpos[:DOF] = q
-        qpos[DOF:] = _OPEN_JAW if opening is None else self.jaw_posture(opening)
+        qpos[DOF:] = self._open_jaw if opening is None else self.jaw_posture(opening)
         mujoco.mj_kinematics(self.model, self._data)
 
     def _calibrate_jaw(self) -> tuple[Floats, Floats]:
@@ -150,11 +154,8 @@ def _linkage(driver: float) -> Floats:
     return np.array([driver, 0.0, driver, -driver, driver, 0.0, driver, -driver])
 
 
-_OPEN_JAW = _linkage(0.0)
-
-
 def _planning_spec(config: CellConfig) -> mujoco.MjSpec:
-    """Return the cell stripped to its collision shapes, with the bits set that say who may touch whom."""
+    """Return the cell stripped to its collision shapes, with the bits that decide which pairs may collide."""
     spec = cell_spec(config)
     radius, half = _BASE_LINK
     cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -179,7 +180,7 @@ def _planning_spec(config: CellConfig) -> mujoco.MjSpec:
 
 
 def _as_mesh(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> None:
-    """Turn a box into a mesh of its corners: MuJoCo's box against box overlooks some pairs that are near but apart."""
+    """Turn a box into a mesh of its corners: MuJoCo's box-box test misses some pairs that are near but apart."""
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     spec.add_mesh(name=geom.name, uservert=(signs * geom.size).ravel())
     geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, geom.name
@@ -190,7 +191,7 @@ def _arm_links(spec: mujoco.MjSpec) -> set[str]:
 
 
 def _without_jaw_joints(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Freeze the jaw where the model's zero has it, fully open."""
+    """Freeze the jaw at the model's zero, fully open."""
     for element in [*spec.equalities, *spec.actuators, *spec.tendons]:
         spec.delete(element)
     for joint in list(spec.joints):

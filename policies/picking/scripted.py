@@ -10,7 +10,7 @@ from binpick_env.env import BinPickEnv
 from perception.geometry import Floats, transform_points
 from policies.grasping.clearance import RankStats, rank_grasps
 from policies.grasping.failed_grasps import FailedGrasps
-from policies.grasping.grasps import sample_grasps
+from policies.grasping.grasps import sample_grasps, why_no_grasp
 from policies.grasping.gripper import gripper_model
 from policies.grasping.observed_scene import SeenScene
 from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
@@ -78,13 +78,11 @@ class ScriptedPicker:
         """
         self._env, self._execution = env, execution
         self.settings = settings or PickerSettings()
-        self.gripper = gripper_model()
-        self.grasp_set = sample_grasps(env.part.model)
+        jaw = env.config.robot.jaw
+        self.gripper = gripper_model(jaw)
+        self.grasp_set = sample_grasps(env.part.model, jaw=jaw)
         if len(self.grasp_set) == 0:
-            raise ValueError(
-                f"the jaw (stroke {1000 * self.gripper.stroke:.0f} mm) finds no grasp on {env.part.model.name!r}: "
-                "it needs two opposite faces that its pads can reach"
-            )
+            raise ValueError(why_no_grasp(env.part.model, jaw=jaw))
         self._planner = AttemptPlanner(env.config, env.part.model, self.gripper, self.settings)
         self.rank_stats = RankStats()
         self._warm = False

@@ -9,7 +9,7 @@ import trimesh
 from perception.geometry import make_transform, random_rotation, rotation_about
 from perception.part import PartModel, Symmetry
 from policies.grasping.antipodal import Solid, close_pads, grasps_on_lines, opposite_faces
-from policies.grasping.grasps import GraspSet, GraspSettings, flip, sample_grasps
+from policies.grasping.grasps import GraspSet, GraspSettings, flip, sample_grasps, why_no_grasp
 from policies.grasping.gripper import gripper_model
 from policies.grasping.outcomes import Grasp
 
@@ -146,6 +146,33 @@ def test_a_part_too_large_for_the_jaw_has_no_grasp(caplog):
     assert grasps.T_part_grasp.shape == (0, 4, 4)
     assert "no grasp on 'cube'" in caplog.text
     assert "lines through the part': 0" in caplog.text
+
+
+def test_a_narrower_jaw_grasps_what_fits_into_it():
+    """Across 30 mm of the block, but not across 50 mm, and never opened wider than the jaw."""
+    grasps = sample_grasps(block_model(), FEW, jaw=0.05)
+    np.testing.assert_allclose(grasps.width, 0.03, atol=1e-4)
+    assert np.all((grasps.width[:, None] + 2 * grasps.extras)[grasps.clear] <= 0.049)
+    just = PartModel.from_mesh("just", trimesh.creation.box(extents=(0.0429, 0.09, 0.09)))
+    assert len(sample_grasps(just, FEW, jaw=0.05)) > 0
+    assert "its pads can reach" in why_no_grasp(just, FEW, jaw=0.05)
+
+
+def test_a_part_that_needs_60_mm_says_so_to_a_jaw_of_50_mm():
+    cube = PartModel.from_mesh("cube", trimesh.creation.box(extents=(0.06, 0.06, 0.06)))
+    assert len(sample_grasps(cube, FEW)) > 0
+    assert len(sample_grasps(cube, FEW, jaw=0.05)) == 0
+    reason = why_no_grasp(cube, FEW, jaw=0.05)
+    assert reason == (
+        "the jaw (stroke 50 mm) finds no grasp on 'cube': it takes at most 43 mm between two opposite faces, "
+        "and the nearest two are 60 mm apart"
+    )
+
+
+def test_a_jaw_as_wide_as_the_stroke_changes_no_setting():
+    assert GraspSettings().limited_to(0.085) == GraspSettings()
+    with pytest.raises(ValueError, match=r"jaw must exceed 10 mm to grasp anything, got 9\.0 mm"):
+        GraspSettings().limited_to(0.009)
 
 
 def test_closing_finds_what_protrudes_before_the_faces():

@@ -114,3 +114,23 @@ def test_the_tcp_stands_behind_the_tips(gripper):
     tip = T_world_tcp[0] @ [0, 0, float(gripper.tip_z(0.03)), 1]
     np.testing.assert_allclose(tip, T_world_grasp[0][:, 3], atol=1e-12)
     assert T_world_tcp[0, 2, 3] > T_world_grasp[0, 2, 3]  # pointing down, the tcp is above the tips at this width
+
+
+@pytest.mark.parametrize("jaw", [0.012, 0.05, 0.0841])
+def test_a_limited_jaw_has_the_same_tables_up_to_its_opening(gripper, jaw):
+    limited = gripper_model(jaw)
+    assert limited.stroke == jaw
+    assert limited.control(0.085) == pytest.approx(gripper.control(jaw), abs=1e-12)
+    np.testing.assert_allclose(limited.hull_points(0.085), gripper.hull_points(jaw), atol=1e-12)
+    for gap in (jaw, 0.7 * jaw, 0.0):
+        np.testing.assert_allclose(limited.hull_points(gap), gripper.hull_points(gap), atol=1e-12)
+        assert limited.control(gap) == pytest.approx(gripper.control(gap), abs=1e-12)
+        assert float(limited.tip_z(gap)) == pytest.approx(float(gripper.tip_z(gap)), abs=1e-12)
+    assert np.all(np.diff(limited.gaps) < 0)
+
+
+def test_a_jaw_without_a_limit_or_wider_than_the_stroke_is_the_gripper_itself(gripper):
+    assert gripper_model(None) is gripper
+    assert gripper.limited_to(0.2) is gripper
+    with pytest.raises(ValueError, match="jaw must be positive, got 0"):
+        gripper.limited_to(0)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from binpick_env.cell.robot import HOME
-from binpick_env.config import CONTROL_PERIOD, RobotConfig
+from binpick_env.config import CONTROL_PERIOD, CellConfig, RobotConfig
 from perception.geometry import make_transform, rotation_about
 from policies.motion.ik import IkSolver
 from policies.motion.ik_settings import IkSettings
@@ -282,6 +282,17 @@ def test_jaw_posture_opens_as_asked(scene, opening):
     mujoco.mj_kinematics(model, data)
     left, right = model.geom("gripper/left_pad1").id, model.geom("gripper/right_pad1").id
     assert mujoco.mj_geomDistance(model, data, left, right, 0.2, None) == pytest.approx(opening, abs=1e-3)
+
+
+def test_a_limited_jaw_opens_no_wider():
+    narrow = PlanningScene(CellConfig(robot=RobotConfig(jaw=0.05)))
+    assert narrow.max_opening == 0.05
+    np.testing.assert_array_equal(narrow.jaw_posture(0.08), narrow.jaw_posture(0.05))
+    q = HOME.copy()
+    narrow.contacts(q)  # the open jaw's shapes are those of 50 mm
+    left, right = (narrow.model.geom(f"gripper/{side}_pad1").id for side in ("left", "right"))
+    opening = mujoco.mj_geomDistance(narrow.model, narrow._data, left, right, 0.2, None)
+    assert opening == pytest.approx(0.05, abs=1e-3)
 
 
 def test_a_closed_jaw_fits_where_an_open_one_does_not(scene, ik):
