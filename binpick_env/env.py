@@ -19,8 +19,10 @@ from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
 from binpick_env.cell.snapshot import Snapshot
 from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorPreset
+from binpick_env.observation.factory import make_perceiver
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture, PoseNoise, make_perceiver
+from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
 from binpick_env.options import resolve_cell
 from binpick_env.parts.part import Part, resolve_part

@@ -12,7 +12,7 @@ import tyro
 from tqdm import tqdm
 
 from binpick_env.config import Backend, CameraConfig, Perception, SensorPreset
-from binpick_env.observation.perceiver import PoseNoise
+from binpick_env.observation.oracle import PoseNoise
 from binpick_env.parts import Unit
 from perception.runtime.provenance import git_commit
 from policies.evaluation.bin_evaluation import BinError

@@ -11,8 +11,8 @@ import numpy as np
 from binpick_env.config import SensorPreset
 from binpick_env.env import BinPickEnv
 from binpick_env.jobs.process_map import map_indices
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture
 from binpick_env.observation.perception_noise import NOISE_VERSION, NoiseBin, PerceptionNoise, Spread
 from perception.metrics.pose_error import is_recognised, pose_error
 from perception.runtime.files import json_text, write_atomically

@@ -1,22 +1,22 @@
-"""What an exposure was taken for: the candidates, and how perception came to them."""
+"""What a perceiver made of a capture: the candidates, and the perception behind them."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from binpick_env.candidates import PoseCandidate
 
-if TYPE_CHECKING:  # it brings the pose estimator's kernels, which the oracle does without
+if TYPE_CHECKING:  # importing it would load the pose estimator's kernels, which the oracle does without
     from perception.pipeline import Perception
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ObservedCandidates:
-    """What a perceiver makes of one labelled_capture.
+    """Pose candidates of one labelled capture.
 
     Attributes:
-        candidates: Seen parts, best first.
-        perception: Boundary, segments and poses behind them: candidate i is pose i, a likely one where none was
-            verified. None where the truth was read.
+        candidates: Candidates, best first.
+        perception: Boundary, segments and poses behind them: candidate i is pose i. Where no pose was verified, the
+            poses are the likely ones. None for an oracle, which reads the ground truth.
     """
 
     candidates: list[PoseCandidate] = field(default_factory=list)

@@ -1,6 +1,7 @@
-"""How the learned perceiver errs, as numbers: fitted once to what it made of many bins, and drawn from ever after.
+"""Statistics of the learned perceiver's errors, fitted to its results on many bins, from which errors can be drawn.
 
-What depends on how much of a part is seen is kept by bins of its true visible fraction. V bins, Q quantiles.
+Statistics that depend on how much of a part is visible are kept per interval ("bin") of its true visible fraction.
+Shapes: V bins, Q quantiles.
 """
 
 import json
@@ -20,12 +21,12 @@ class NoiseError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """How large the errors of some poses are, and how sure the perceiver is of them: Q quantiles from 0 to 1.
+    """Distribution of the errors and scores of poses, as Q evenly spaced quantiles from 0 to 1.
 
     Attributes:
-        translation: Distance of the part's centre from its true place [m].
-        rotation: Angle to the true attitude, modulo symmetry [rad].
-        score: Confidence.
+        translation: (Q,) distances of the part's centre from its true position [m].
+        rotation: (Q,) angles to the true rotation, modulo symmetry [rad].
+        score: (Q,) confidences in [0, 1].
     """
 
     translation: tuple[float, ...]
@@ -41,7 +42,7 @@ class Spread:
             raise ValueError(f"score must not exceed 1, got {self.score[-1]}")
 
     def draw(self, rng: np.random.Generator) -> tuple[float, float, float]:
-        """Return a translation [m], a rotation [rad] and a score; the three are independent."""
+        """Draw a translation [m], a rotation [rad] and a score, independently of each other."""
         tables = (self.translation, self.rotation, self.score)
         draws = rng.random(3)
         return tuple(_quantile(table, at) for table, at in zip(tables, draws, strict=True))  # type: ignore[return-value]
@@ -49,17 +50,17 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseBin:
-    """What happens to parts of which about so much is seen.
+    """Statistics of the parts whose true visible fraction lies in one interval.
 
     Attributes:
-        high: Upper end of their visible fractions; the bin begins where the one before ends.
-        count: Parts that it was fitted to.
-        offered: Share of them that a candidate was offered of.
-        wrong: Share of these candidates whose pose is wrong: beyond a tenth of d_max or 5 deg, as everywhere.
-        spread: Of the right ones.
-        visible_bias: Mean of estimated minus true visible fraction.
-        visible_sigma: Standard deviation of that.
-        fill_ratio: Mean of visible boundary points over P, as a multiple of the true visible fraction.
+        high: Upper end of the interval, which begins where the one before ends.
+        count: Number of parts that the statistics were fitted to.
+        offered: Share of these parts for which a candidate was offered.
+        wrong: Share of the candidates whose pose is wrong: off by more than a tenth of d_max or 5 deg.
+        spread: Errors and scores of the candidates whose pose is right.
+        visible_bias: Mean of the estimated minus the true visible fraction.
+        visible_sigma: Standard deviation of the estimated minus the true visible fraction.
+        fill_ratio: Mean of visible boundary points over P, divided by the true visible fraction.
     """
 
     high: float
@@ -82,16 +83,16 @@ class NoiseBin:
 
 @dataclass(frozen=True, kw_only=True)
 class PerceptionNoise:
-    """A stand-in for a perceiver's errors, for training that should cost physics only.
+    """Noise model of a perceiver: replaces it in training, which then costs physics only.
 
-    Errors of one look are independent of each other and of the look before, which a real perceiver's are not quite.
+    Errors are drawn independently for each part and each frame. A real perceiver's are slightly correlated.
 
     Attributes:
-        bins: V of them by rising visible fraction, the last up to 1.
-        wrong: Errors and scores of the wrong poses: a part turned round, or a neighbour's points taken for its own.
-        false_rate: Candidates of a frame, on average, that are no part's, or a part's second.
-        false_score: Q quantiles of their scores.
-        provenance: Command, seed, bins, commit.
+        bins: (V,) statistics by rising visible fraction, the last interval ending at 1.
+        wrong: Errors and scores of the wrong poses, such as a flipped part or one fitted to a neighbour's points.
+        false_rate: Mean number of candidates per frame that belong to no part, or are a part's second.
+        false_score: (Q,) quantiles of the false candidates' scores.
+        provenance: Command, seed, bins and commit of the fit.
     """
 
     bins: tuple[NoiseBin, ...]
@@ -108,20 +109,20 @@ class PerceptionNoise:
             raise ValueError(f"false_rate must not be negative, got {self.false_rate}")
 
     def bin_of(self, visible_fraction: float) -> NoiseBin:
-        """Return the bin of a part of which so much is seen."""
+        """Return the statistics of parts with a true visible fraction."""
         ends = [each.high for each in self.bins]
         return self.bins[min(int(np.searchsorted(ends, visible_fraction)), len(ends) - 1)]
 
     def draw_false_score(self, rng: np.random.Generator) -> float:
-        """Return the score of a false candidate."""
+        """Draw the score of a false candidate."""
         return _quantile(self.false_score, rng.random())
 
     @classmethod
     def from_plain(cls, values: dict[str, Any]) -> "PerceptionNoise":
-        """Rebuild a model from JSON's values.
+        """Build a noise model from the values of its JSON file.
 
         Raises:
-            NoiseError: They are not a model of this version.
+            NoiseError: The values are not a noise model of this version.
         """
         try:
             if values["version"] != NOISE_VERSION:
@@ -135,11 +136,11 @@ class PerceptionNoise:
                 provenance=values["provenance"],
             )
         except (KeyError, TypeError) as error:
-            raise NoiseError(f"there is no whole noise model ({error!r})") from error
+            raise NoiseError(f"the noise model is incomplete ({error!r})") from error
 
     @classmethod
     def load(cls, path: Path) -> "PerceptionNoise":
-        """Read a model's JSON.
+        """Read a noise model from its JSON file.
 
         Raises:
             NoiseError: The file is missing or does not hold a model of this version.
@@ -152,10 +153,10 @@ class PerceptionNoise:
 
     @classmethod
     def for_part(cls, part: str, sensor: str = "good") -> "PerceptionNoise":
-        """Return the shipped model of a catalogue part under a sensor.
+        """Return the shipped noise model of a catalogue part under a sensor preset.
 
         Raises:
-            NoiseError: There is none; the text names the command that makes it.
+            NoiseError: There is none; the text names the command that makes one.
         """
         path = SHIPPED / f"{part}_{sensor}.json"
         if not path.exists():
@@ -168,6 +169,7 @@ class PerceptionNoise:
 
 
 def _quantile(table: tuple[float, ...], at: float) -> float:
+    """Return the value at a quantile in [0, 1] of a (Q,) table of evenly spaced quantiles."""
     return float(np.interp(at, np.linspace(0.0, 1.0, len(table)), np.asarray(table)))
 
 

@@ -1,7 +1,4 @@
-"""Perceivers that work from pixels: segments by the trained network, or the true ones; poses by PPF-MEAM.
-
-Torch is imported only for the network.
-"""
+"""Perceivers that work from pixels: segments by the trained network or the true ones, poses by PPF-MEAM."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.candidates import PoseCandidate
+from binpick_env.observation.candidate_from_pose import make_candidate
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture, make_candidate
 from binpick_env.observation.warm_up import warm_up_capture
 from perception.boundary import BoundaryCloud
 from perception.frame import Workspace
@@ -24,49 +22,53 @@ from perception.pose.pose_estimate import PoseEstimate
 from perception.runtime.threads import use_threads
 from perception.segmentation.grouping.similarity import GroupingConfig
 
-LIKELY = 0.5  # score of a pose that is offered where none is verified: it is rather right than wrong
-MIN_POINTS = GroupingConfig().min_points  # of a true segment: the network's smallest group
-_warmed_up: set[str] = set()  # the ways to segments for which this process has its kernels
+LIKELY = 0.5  # smallest score of a pose that is offered where none is verified: more likely right than wrong
+MIN_POINTS = GroupingConfig().min_points  # smallest number of points of a true segment; the network's is the same
+_warmed_up: set[str] = set()  # perception modes whose kernels this process has loaded
 
 
 class PixelPerceiver:
-    """Verified poses become candidates; the truth beside the frame names their parts, for reports only.
+    """Turns verified poses into candidates. Ground truth is read only to name their parts, for reports.
 
-    Where no pose is verified, those that are likely stand in: the last part of a bin is not given up for a doubt.
+    Where no pose is verified, the likely ones are offered: the last part of a bin is not given up for a doubt.
     """
 
     def __init__(
-        self, see: Callable[[LabelledCapture], Perception], estimator: PoseEstimator, threads: int | None = None
+        self,
+        recognise: Callable[[LabelledCapture], Perception],
+        estimator: PoseEstimator,
+        threads: int | None = None,
     ) -> None:
-        """Look with ``see``.
+        """Create the perceiver.
 
         Args:
-            see: From an exposure to segments and poses.
-            estimator: Of these poses; it knows P.
-            threads: That torch and OpenCV may use in the meantime; None leaves them alone.
+            recognise: Function from a labelled capture to segments and poses.
+            estimator: Estimator that made these poses; it also knows P, the boundary points of a whole part.
+            threads: Number of threads that torch and OpenCV may use in the meantime; None changes nothing.
         """
-        self._see = see
+        self._recognise = recognise
         self._estimator = estimator
         self._threads = threads
 
-    def perceive(self, view: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:  # noqa: ARG002 - chance is the oracle's
+    def perceive(self, labelled: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:  # noqa: ARG002 - for oracles
         """Return a candidate for each verified pose, best first; an empty bin has none."""
         with use_threads(self._threads):
-            seen = self._see(view)
-        if not seen.poses:
-            seen = replace(seen, poses=self._estimator.verified(seen.estimates, LIKELY))
-        owners = point_owners(view, seen.boundary)
-        groups = [seen.segments[pose.instance_idx].point_idx for pose in seen.poses]
-        candidates = [self._candidate(view, pose, owners[idx]) for pose, idx in zip(seen.poses, groups, strict=True)]
-        return ObservedCandidates(candidates=candidates, perception=seen)
+            perceived = self._recognise(labelled)
+        if not perceived.poses:
+            perceived = replace(perceived, poses=self._estimator.verified(perceived.estimates, LIKELY))
+        owners = point_owners(labelled, perceived.boundary)
+        groups = [perceived.segments[pose.instance_idx].point_idx for pose in perceived.poses]
+        pairs = zip(perceived.poses, groups, strict=True)
+        candidates = [self._candidate(labelled, pose, owners[idx]) for pose, idx in pairs]
+        return ObservedCandidates(candidates=candidates, perception=perceived)
 
-    def _candidate(self, view: LabelledCapture, pose: PoseEstimate, owners: NDArray[np.int64]) -> PoseCandidate:
-        """Complete a pose whose group's points lie on the parts (M,) ``owners``."""
-        frame = view.capture.frame
-        depth = float(transform_points(pose.T_cam_part, view.part.centre[None])[0, 2])
+    def _candidate(self, labelled: LabelledCapture, pose: PoseEstimate, owners: NDArray[np.int64]) -> PoseCandidate:
+        """Complete a pose to a candidate; (M,) ``owners`` are the true parts under its segment's points."""
+        frame = labelled.capture.frame
+        depth = float(transform_points(pose.T_cam_part, labelled.part.centre[None])[0, 2])
         whole = self._estimator.appearances.expected_points(frame.K, depth)
         return make_candidate(
-            view,
+            labelled,
             frame.T_world_cam @ pose.T_cam_part,
             score=pose.score,
             visible_fraction=pose.visible_fraction,
@@ -76,60 +78,61 @@ class PixelPerceiver:
 
 
 def learned_perceiver(part: PartModel, workspace: Workspace, threads: int | None = None) -> PixelPerceiver:
-    """Build the perceiver whose segments are the trained network's.
+    """Build the perceiver that segments with the trained network.
 
     Raises:
         WeightsError: There are no weights for the part; the text names the commands that make them and the other modes.
         ValueError: The part's mesh does not enclose a volume.
     """
+    # Imported here: torch takes seconds to load, and true segments need none.
     from perception.segmentation.weights import WeightsError
 
     try:
         pipeline = Pipeline.for_part(part, workspace)
     except WeightsError as error:
         raise WeightsError(
-            f"perception='learned' cannot look for {part.name!r}: {error}; without a network there are "
+            f"perception='learned' cannot recognise {part.name!r}: {error}; without a network there are "
             "perception='gt_masks' (true segments) and 'oracle' (true poses)"
         ) from error
-    perceiver = PixelPerceiver(lambda view: pipeline.perceive(view.capture.frame), pipeline.estimator, threads)
+    perceiver = PixelPerceiver(lambda labelled: pipeline.perceive(labelled.capture.frame), pipeline.estimator, threads)
     return _warm_up(perceiver, "learned", part, workspace)
 
 
 def gt_masks_perceiver(part: PartModel, workspace: Workspace, threads: int | None = None) -> PixelPerceiver:
-    """Build the perceiver whose segments are the true ones.
+    """Build the perceiver that takes the true segments.
 
     Raises:
         ValueError: The part's mesh does not enclose a volume.
     """
     estimator = PoseEstimator(part, workspace=workspace)
 
-    def see(view: LabelledCapture) -> Perception:
+    def recognise(labelled: LabelledCapture) -> Perception:
         def segment(boundary: BoundaryCloud) -> list[Instance]:
-            return true_instances(point_owners(view, boundary), MIN_POINTS)
+            return true_instances(point_owners(labelled, boundary), MIN_POINTS)
 
-        return perceive_by(segment, estimator, view.capture.frame, workspace)
+        return perceive_by(segment, estimator, labelled.capture.frame, workspace)
 
-    return _warm_up(PixelPerceiver(see, estimator, threads), "gt_masks", part, workspace)
+    return _warm_up(PixelPerceiver(recognise, estimator, threads), "gt_masks", part, workspace)
 
 
-def _warm_up(perceiver: PixelPerceiver, way: str, part: PartModel, workspace: Workspace) -> PixelPerceiver:
-    """Let the first perceiver of its way look once at a view that nobody waits for.
+def _warm_up(perceiver: PixelPerceiver, mode: str, part: PartModel, workspace: Workspace) -> PixelPerceiver:
+    """Let the first perceiver of each mode in this process perceive a small capture, so that its kernels are loaded.
 
-    Kernels are compiled, or read from numba's cache, at their first call: 25 s, or 1 s, that are no part of a frame's
-    time.
+    Kernels are compiled (25 s) or read from numba's cache (1 s) at their first call, which would count as time of the
+    first frame.
     """
-    if way not in _warmed_up:
+    if mode not in _warmed_up:
         perceiver.perceive(warm_up_capture(part, workspace), np.random.default_rng(0))
-        _warmed_up.add(way)
+        _warmed_up.add(mode)
     return perceiver
 
 
-def point_owners(view: LabelledCapture, boundary: BoundaryCloud) -> NDArray[np.int64]:
-    """Return the (N,) true part that each boundary point lies on, -1 for none."""
-    owners: NDArray[np.int64] = view.capture.instance_ids[boundary.pixels[:, 1], boundary.pixels[:, 0]]
+def point_owners(labelled: LabelledCapture, boundary: BoundaryCloud) -> NDArray[np.int64]:
+    """Return the (N,) true parts that the boundary points lie on, -1 for none."""
+    owners: NDArray[np.int64] = labelled.capture.instance_ids[boundary.pixels[:, 1], boundary.pixels[:, 0]]
     return owners
 
 
 def main_owner(owners: NDArray[np.int64]) -> int:
-    """Return the part that owns most of a group's (M,) points, -1 where most of them lie on none."""
+    """Return the most frequent part among (M,) ``owners`` of a segment's points; -1 where most lie on no part."""
     return int(np.bincount(owners + 1).argmax()) - 1

@@ -1,4 +1,4 @@
-"""A view to warm up on: kernels are compiled and loaded at their first call, which is no part of a frame's time."""
+"""JIT warm-up: a small capture for the first calls of the kernels, which compile or load them."""
 
 import mujoco
 import numpy as np
@@ -6,7 +6,7 @@ import numpy as np
 from binpick_env.camera.depth_camera import DepthCamera
 from binpick_env.camera.view import VISIBLE
 from binpick_env.config import CameraConfig
-from binpick_env.observation.perceiver import LabelledCapture
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.scenes.clutter import visible_fractions
 from perception.frame import Workspace
 from perception.geometry import Floats, make_transform, quat_from_matrix, rotation_about
@@ -16,14 +16,14 @@ _CAMERA = CameraConfig(width=640, height=480)
 
 
 def warm_up_capture(part: PartModel, workspace: Workspace) -> LabelledCapture:
-    """Return what a small camera sees of two parts that lie against each other on the floor of an empty bin.
+    """Return the capture, by a small camera, of two parts that lie side by side on the floor of an empty bin.
 
     Args:
-        part: What lies there, as its frame has it, and turned over by a third of a turn.
-        workspace: The bin; its walls are left out.
+        part: Model of both parts; one lies as its frame is drawn, the other turned over by a third of a turn.
+        workspace: Pose and inner box of the bin, whose walls are left out.
 
     Note:
-        0.1 s. Draws nothing by chance that anybody else uses, and steps no physics.
+        Takes 0.1 s. Random numbers come from a generator of its own; no physics is stepped.
     """
     T_world_parts = workspace.T_world_bin @ np.stack([_lying(part, 0.0, -0.3), _lying(part, 2 * np.pi / 3, 0.3)])
     model = _model(part, workspace, T_world_parts)
@@ -41,7 +41,13 @@ def warm_up_capture(part: PartModel, workspace: Workspace) -> LabelledCapture:
 
 
 def _lying(part: PartModel, angle: float, aside: float) -> Floats:
-    """Return the (4, 4) pose in the bin of a part on its floor, turned about x [rad], ``aside`` [d_max] along x."""
+    """Return a (4, 4) pose in the bin frame at which a part lies on the floor.
+
+    Args:
+        part: Model of the part.
+        angle: Rotation about the x axis [rad].
+        aside: Position of the centre along the x axis [d_max].
+    """
     T_bin_part = make_transform(rotation_about((1, 0, 0), angle))
     lowest = (np.asarray(part.mesh.vertices) @ T_bin_part[:3, :3].T)[:, 2].min()
     centre = T_bin_part[:3, :3] @ part.centre
@@ -50,7 +56,7 @@ def _lying(part: PartModel, angle: float, aside: float) -> Floats:
 
 
 def _model(part: PartModel, workspace: Workspace, T_world_parts: Floats) -> mujoco.MjModel:
-    """Return floor and parts as visible geoms of the world, in this order."""
+    """Compile a model whose geoms are the bin's floor and the parts, in this order."""
     spec = mujoco.MjSpec()
     mesh = spec.add_mesh(name="part")
     mesh.uservert, mesh.userface = np.asarray(part.mesh.vertices).ravel(), np.asarray(part.mesh.faces).ravel()

@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 
 from binpick_env.config import CameraConfig, CellConfig, Perception, SensorPreset
-from binpick_env.observation.perceiver import PoseNoise, make_perceiver
+from binpick_env.observation.factory import make_perceiver
+from binpick_env.observation.oracle import PoseNoise
 from binpick_env.options import CellOptions
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.candidates import MAX_CANDIDATES, PoseCandidate
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture
 from binpick_env.observation.pixel_perceiver import point_owners
 from perception.geometry import Floats
 from perception.instance import Instance, instances_of, labels_of

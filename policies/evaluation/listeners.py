@@ -13,8 +13,8 @@ from types import TracebackType
 from typing import Protocol
 
 from binpick_env.env import BinPickEnv
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture
 from policies.evaluation.frame_record import FrameRecord
 from policies.evaluation.watched_env import WatchedEnv
 from policies.grasping.outcomes import PickResult

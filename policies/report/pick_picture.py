@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from binpick_env.evaluation.pose.pictures import RIGHT, WRONG, outline
 from binpick_env.evaluation.segmentation.pictures import prediction_colours
 from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord
-from binpick_env.observation.perceiver import LabelledCapture
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.pixel_perceiver import point_owners
 from perception.frame import Frame
 from perception.geometry import Floats, invert_transform, project_points, transform_points

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from binpick_env.config import CameraConfig, CellConfig, SensorPreset
 from binpick_env.env import BinPickEnv
-from binpick_env.observation.perceiver import PoseNoise
+from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
 from binpick_env.parts import Part
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult

@@ -17,7 +17,7 @@ from binpick_env import env as env_module
 from binpick_env.cell.robot import HOME
 from binpick_env.config import BinConfig, CellConfig
 from binpick_env.env import MAX_EPISODE_STEPS, BinPickEnv
-from binpick_env.observation.perceiver import PoseNoise
+from binpick_env.observation.oracle import PoseNoise
 from binpick_env.parts import load_part
 from tests.binpick_env.small_cell import REST, SMALL, act, assert_same, random_actions, small_env
 

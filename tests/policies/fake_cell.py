@@ -8,8 +8,9 @@ import numpy as np
 import trimesh
 
 from binpick_env.candidates import PoseCandidate
+from binpick_env.observation.candidate_from_pose import make_candidate
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture, make_candidate
 from binpick_env.scenes.clutter import ClutterStats
 from perception.boundary import BoundaryCloud
 from perception.frame import Frame, Workspace

@@ -11,8 +11,11 @@ import pytest
 from binpick_env.candidates import PoseCandidate
 from binpick_env.cell.robot import HOME
 from binpick_env.env import BinPickEnv
+from binpick_env.observation.candidate_from_pose import make_candidate
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture, OraclePerceiver, Perceiver, PoseNoise, make_candidate
+from binpick_env.observation.oracle import OraclePerceiver, PoseNoise
+from binpick_env.observation.perceiver import Perceiver
 from perception.geometry import Floats, make_transform, rotation_about
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.scripted import T_SENSE, ScriptedPicker

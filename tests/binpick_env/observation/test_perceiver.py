@@ -10,14 +10,10 @@ import pytest
 import trimesh
 
 from binpick_env.config import BinConfig
-from binpick_env.observation.perceiver import (
-    OFFERED_FROM,
-    LabelledCapture,
-    OraclePerceiver,
-    PoseNoise,
-    make_candidate,
-    make_perceiver,
-)
+from binpick_env.observation.candidate_from_pose import make_candidate
+from binpick_env.observation.factory import make_perceiver
+from binpick_env.observation.labelled_capture import LabelledCapture
+from binpick_env.observation.oracle import OFFERED_FROM, OraclePerceiver, PoseNoise
 from perception.geometry import Floats, make_transform, random_rotation, rotation_angle, transform_points
 from perception.part import PartModel
 from perception.segmentation.predictor import SegmentationPredictor
@@ -39,7 +35,7 @@ def view(fractions: list[float], part: PartModel | None = None, seed: int = 0) -
     poses = [
         WORKSPACE.T_world_bin @ make_transform(random_rotation(rng), rng.uniform(-0.05, 0.05, 3)) for _ in fractions
     ]
-    capture: Any = None  # the oracle does not look at pictures
+    capture: Any = None  # the oracle reads no image
     return LabelledCapture(
         capture=capture,
         workspace=WORKSPACE,
@@ -94,7 +90,7 @@ def test_a_candidate_is_completed_by_hand() -> None:
 
 
 def errors(noise: PoseNoise, count: int = 3000) -> tuple[Floats, Floats]:
-    """Return the errors (N, 3) of the centres [m] and (N,) of the rotations [rad] over many looks."""
+    """Return the errors (N, 3) of the centres [m] and (N,) of the rotations [rad] over many captures."""
     part = off_centre()
     seen = view([1.0] * count, part)
     candidates = perceive(seen, noise)
@@ -194,7 +190,7 @@ def test_a_part_without_weights_is_told_how_to_train_them_and_what_else_there_is
         make_perceiver("learned", off_centre(), WORKSPACE)
     text = str(raised.value)
     for told in (
-        "perception='learned' cannot look for 'block'",
+        "perception='learned' cannot recognise 'block'",
         "scripts/generate_scenes.py --part block",
         "scripts/train_segmentation.py --part block",
         "perception='gt_masks' (true segments) and 'oracle' (true poses)",

@@ -17,8 +17,9 @@ from binpick_env.evaluation.noise_fit import (
     fit_noise,
     save_noise,
 )
+from binpick_env.observation.factory import make_perceiver
 from binpick_env.observation.noisy_oracle import NoisyOraclePerceiver, displaced
-from binpick_env.observation.perceiver import OraclePerceiver, make_perceiver
+from binpick_env.observation.oracle import OraclePerceiver
 from binpick_env.observation.perception_noise import NoiseBin, NoiseError, PerceptionNoise, Spread
 from perception.geometry import make_transform
 from perception.metrics.pose_error import pose_error
@@ -195,8 +196,8 @@ def test_a_model_survives_its_file(tmp_path: Path) -> None:
     ("change", "text"),
     [
         ({"version": 0}, "is of version 0, this code reads 1"),
-        ({"bins": [{"high": 1.0}]}, "there is no whole noise model"),
-        ({"wrong": {"translation": [0, 1]}}, "there is no whole noise model"),
+        ({"bins": [{"high": 1.0}]}, "the noise model is incomplete"),
+        ({"wrong": {"translation": [0, 1]}}, "the noise model is incomplete"),
     ],
 )
 def test_a_file_of_something_else_is_refused(tmp_path: Path, change: dict[str, Any], text: str) -> None:

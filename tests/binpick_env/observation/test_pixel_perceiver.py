@@ -12,8 +12,8 @@ import torch
 import binpick_env  # noqa: F401  registers the id
 from binpick_env.candidates import PoseCandidate
 from binpick_env.env import BinPickEnv
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture
 from binpick_env.observation.pixel_perceiver import (
     LIKELY,
     MIN_POINTS,
@@ -195,13 +195,13 @@ def test_one_thread_setting_for_all() -> None:
     env = cell(threads=1)
     perceiver = env._perceiver
     assert isinstance(perceiver, PixelPerceiver)
-    see = perceiver._see
+    recognise = perceiver._recognise
 
-    def watched(view: LabelledCapture) -> Perception:
+    def watched(labelled: LabelledCapture) -> Perception:
         threads.append((torch.get_num_threads(), cv2.getNumThreads()))
-        return see(view)
+        return recognise(labelled)
 
-    perceiver._see = watched
+    perceiver._recognise = watched
     try:
         torch.set_num_threads(2)
         cv2.setNumThreads(2)
@@ -236,36 +236,36 @@ def test_gym_makes_a_cell_that_sees_by_pixels() -> None:
     assert observation["candidate_mask"].sum() == len(seen.poses) == 3
     assert_right(inner, inner.candidates)
     truth = inner.simulation.part_poses()
-    for candidate in inner.candidates:  # estimated, not looked up
+    for candidate in inner.candidates:  # estimated, not perceived up
         assert np.abs(candidate.T_world_part - truth[candidate.part]).max() > 1e-7
         assert 0.5 <= candidate.score < 1.0
     env.close()
 
 
-def test_a_frame_is_looked_at_once(learned: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_is_perceived_once(learned: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     learned.reset(seed=31)
-    looked: list[LabelledCapture] = []
+    perceived: list[LabelledCapture] = []
     perceive = learned._perceiver.perceive
 
     def counted(view: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:
-        looked.append(view)
+        perceived.append(view)
         return perceive(view, rng)
 
     monkeypatch.setattr(learned._perceiver, "perceive", counted)
     act(learned, 0.4)
-    assert looked == []
+    assert perceived == []
     observed = learned.observed
     learned.look()
-    assert looked == [learned.labelled_capture]
+    assert perceived == [learned.labelled_capture]
     assert learned.observed is not observed
     assert learned.candidates == learned.observed.candidates
     assert sum(seen_in(learned).ms.values()) <= 1000 * learned.perception_time
     away = REST.copy()
     away[0] -= 1.0
     act(learned, 0.8, away)
-    assert len(looked) == 1
+    assert len(perceived) == 1
     act(learned, 1.2)
-    assert len(looked) == 2
+    assert len(perceived) == 2
 
 
 def test_copies_that_learned_to_see_stay_equal(learned: BinPickEnv) -> None:

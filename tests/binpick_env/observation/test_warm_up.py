@@ -10,8 +10,8 @@ import trimesh
 
 from binpick_env.config import CellConfig
 from binpick_env.observation import pixel_perceiver
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture
 from binpick_env.observation.warm_up import warm_up_capture
 from binpick_env.parts import load_part
 from perception.geometry import make_transform, rotation_about, transform_points
@@ -65,7 +65,7 @@ def test_two_parts_lie_on_the_floor_in_the_middle_of_the_bin() -> None:
     assert depth[ids == -1].max() == pytest.approx(0.9, abs=1e-6)  # the floor
 
 
-def test_a_rehearsal_takes_any_part_in_any_bin() -> None:
+def test_the_warm_up_takes_any_part_in_any_bin() -> None:
     large = PartModel.from_mesh("beam", trimesh.creation.box((0.5, 0.02, 0.02)))
     turned = make_transform(rotation_about((0, 0, 1), 0.4), (0.3, 0.2, 0.1))
     view = warm_up_capture(large, type(WORKSPACE)(T_world_bin=turned, inner_size=np.array([0.2, 0.1, 0.05])))
@@ -73,15 +73,15 @@ def test_a_rehearsal_takes_any_part_in_any_bin() -> None:
     np.testing.assert_array_equal(warm_up_capture(large, view.workspace).capture.frame.depth, view.capture.frame.depth)
 
 
-def test_only_the_first_perceiver_of_its_way_rehearses(monkeypatch: pytest.MonkeyPatch) -> None:
-    looks: list[LabelledCapture] = []
+def test_only_the_first_perceiver_of_each_mode_warms_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    captures: list[LabelledCapture] = []
 
-    def perceive(_: object, view: LabelledCapture, __: np.random.Generator) -> ObservedCandidates:
-        looks.append(view)
+    def perceive(_: object, labelled: LabelledCapture, __: np.random.Generator) -> ObservedCandidates:
+        captures.append(labelled)
         return ObservedCandidates(candidates=[])
 
     monkeypatch.setattr(pixel_perceiver, "_warmed_up", set())
     monkeypatch.setattr(pixel_perceiver.PixelPerceiver, "perceive", perceive)
     for perception, count in (("gt_masks", 1), ("gt_masks", 1), ("learned", 2), ("gt_masks", 2)):
         cell(perception=perception)
-        assert len(looks) == count
+        assert len(captures) == count

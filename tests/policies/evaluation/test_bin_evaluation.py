@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from binpick_env.config import CameraConfig, CellConfig
-from binpick_env.observation.perceiver import PoseNoise
+from binpick_env.observation.oracle import PoseNoise
 from perception.runtime.records import RecordError
 from policies.evaluation.bin_evaluation import BinError, evaluate_bin
 from policies.evaluation.cell import Cell, CellCache, scripted_cell
@@ -362,6 +362,6 @@ def test_nonsense_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         EvaluationConfig(part="teapot").check()
     trimesh.creation.box((0.06, 0.04, 0.03)).export(tmp_path / "block.stl")
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))  # where a user's own weights would lie
-    with pytest.raises(ValueError, match="perception='learned' cannot look for 'block': there are no segmentation"):
+    with pytest.raises(ValueError, match="perception='learned' cannot recognise 'block': there are no segmentation"):
         EvaluationConfig(part=str(tmp_path / "block.stl")).check()
     assert EvaluationConfig(part=str(tmp_path / "block.stl"), perception="oracle").check().model.name == "block"

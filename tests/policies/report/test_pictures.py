@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from binpick_env.evaluation.pose.pictures import RIGHT, WRONG
 from binpick_env.evaluation.segmentation.pictures import part_colours
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture
 from perception.geometry import make_transform
 from policies.evaluation.frame_record import judge_frame
 from policies.evaluation.listeners import Decision

@@ -10,8 +10,9 @@ import pytest
 
 from binpick_env import env as cell_module
 from binpick_env.config import BinConfig, CellConfig
+from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import LabelledCapture, OraclePerceiver
+from binpick_env.observation.oracle import OraclePerceiver
 from perception.geometry import Floats
 from policies.grasping.outcomes import Abstention, GraspOutcome
 from policies.picking.episode import Termination

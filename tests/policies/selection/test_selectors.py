@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from binpick_env.observation.observed_candidates import ObservedCandidates
-from binpick_env.observation.perceiver import PoseNoise
+from binpick_env.observation.oracle import PoseNoise
 from policies.grasping.clearance import RankSettings
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.episode import Termination, run_bin
