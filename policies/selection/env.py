@@ -14,7 +14,8 @@ from binpick_env.config import CameraConfig, CellConfig, SensorPreset
 from binpick_env.env import BinPickEnv
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
-from binpick_env.parts import Part
+from binpick_env.parts.part import Part
+from binpick_env.parts.unit import Unit
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.episode import Termination
 from policies.picking.execution import Execution
@@ -102,7 +103,8 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
     ## Arguments
     | name | default | meaning |
     | --- | --- | --- |
-    | `part`, `num_parts`, `perception`, `sensor`, `camera`, `pose_noise`, `config`, `threads`, `render_mode` | | as `BinPick-v0`'s |
+    | `part`, `unit`, `symmetry`, `density`, `num_parts`, `perception`, `sensor`, `pose_noise`, `threads`, `render_mode` | | as `BinPick-v0`'s |
+    | `bin`, `jaw`, `friction`, `camera_distance`, `width`, `height`, `hand_eye_mm`, `camera`, `config` | `None` | as `BinPick-v0`'s: options of the cell one by one, its camera, or the whole cell |
     | `max_failures` | `2` | failures in a row that end the bin; `None` for never |
     | `per_part` | `3` | at most so many grasps of each part |
     | `picker` | `None` | `PickerSettings` of the ranking and the execution |
@@ -129,6 +131,17 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
         per_part: int = PER_PART,
         picker: PickerSettings | None = None,
         fast: bool = False,
+        *,
+        unit: Unit | None = None,
+        symmetry: Literal["detect", "none"] = "detect",
+        density: float | None = None,
+        bin: tuple[float, float, float] | None = None,
+        jaw: float | None = None,
+        camera_distance: float | None = None,
+        width: int | None = None,
+        height: int | None = None,
+        hand_eye_mm: float | None = None,
+        friction: float | None = None,
     ) -> None:
         cell: dict[str, Any] = {
             "part": part,
@@ -140,6 +153,16 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
             "config": config,
             "threads": threads,
             "render_mode": render_mode,
+            "unit": unit,
+            "symmetry": symmetry,
+            "density": density,
+            "bin": bin,
+            "jaw": jaw,
+            "camera_distance": camera_distance,
+            "width": width,
+            "height": height,
+            "hand_eye_mm": hand_eye_mm,
+            "friction": friction,
         }
         # A pickled copy is made anew from these; it is the same environment from its first reset(seed) on.
         EzPickle.__init__(self, **cell, max_failures=max_failures, per_part=per_part, picker=picker, fast=fast)

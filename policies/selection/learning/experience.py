@@ -10,8 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.config import BinConfig, CameraConfig, CellConfig, Perception, SensorPreset
+from binpick_env.config import Perception
 from binpick_env.jobs.process_map import map_indices
+from binpick_env.options import CellOptions
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.records import RecordFormat
 from policies.grasping.outcomes import PickResult
@@ -24,38 +25,45 @@ FORMAT = RecordFormat(kind="bin of attempts", version=1, remedy="delete it, and 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cells:
+class Cells(CellOptions):
     """The bins that experience is gathered in."""
 
-    part: str = "tee"  # catalogue name, or path to an STL, OBJ or PLY file
     min_parts: int = 20  # smallest number of parts in a bin
     max_parts: int = 30  # largest number of parts in a bin
     perception: Perception = "oracle"  # source of the poses; "learned" for the last stretch of a training
     pose_noise: Literal["learned"] | None = None  # "learned": the oracle errs as the learned perceiver does
-    sensor: SensorPreset = "good"  # noise of the depth camera
     fast: bool = False  # leave out the physics of an arm that touches nothing
     max_failures: int = 2  # consecutive failures that end a bin
-    bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; None is the standard bin
-    hand_eye: float = 0.0  # standard deviation per axis of the camera's reported position [m]
 
     def environment(self) -> GraspSelectionEnv:
         """Build an environment that casts rays on one thread."""
-        values = asdict(self)
-        num_parts = values.pop("min_parts"), values.pop("max_parts")
-        size = values.pop("bin")
-        config = None if size is None else CellConfig(bin=BinConfig(inner_size=size))
-        camera = CameraConfig(hand_eye=values.pop("hand_eye"))
-        return GraspSelectionEnv(**values, num_parts=num_parts, config=config, camera=camera, threads=1)
+        return GraspSelectionEnv(
+            self.part,
+            unit=self.unit,
+            symmetry=self.symmetry,
+            density=self.density,
+            num_parts=(self.min_parts, self.max_parts),
+            perception=self.perception,
+            sensor=self.sensor,
+            pose_noise=self.pose_noise,
+            config=self.cell(),
+            threads=1,
+            max_failures=self.max_failures,
+            fast=self.fast,
+        )
 
     def plain(self) -> dict[str, Any]:
         """Return the values as they are written to files, in the types that JSON gives back."""
-        values: dict[str, Any] = json.loads(json_text(asdict(self)))
-        return values
+        # hand_eye [m] is the former name of hand_eye_mm; both are written until the next minor version.
+        values = {**asdict(self), "hand_eye": self.hand_eye_mm / 1000}
+        read: dict[str, Any] = json.loads(json_text(values))
+        return read
 
     @classmethod
     def upgraded(cls, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return what any version's :meth:`plain` wrote as this version writes it; new settings take their defaults."""
-        return {**cls().plain(), **values}
+        hand_eye_mm = values.get("hand_eye_mm", round(1000 * values.get("hand_eye", 0.0), 9))
+        return {**cls().plain(), **values, "hand_eye_mm": hand_eye_mm, "hand_eye": hand_eye_mm / 1000}
 
 
 @dataclass(frozen=True, kw_only=True)

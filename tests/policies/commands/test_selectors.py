@@ -110,8 +110,8 @@ def test_what_makes_bins_hard_arrives() -> None:
     config = evaluate.tyro.cli(evaluate.Arguments, args=hard).config()
     assert (config.camera.hand_eye, config.sensor) == (0.01, "harsh")
     for method in (train.Ppo, train.Bandit):
-        cells = train.tyro.cli(method, args=hard).cells
-        assert (cells.hand_eye, cells.sensor) == (0.01, "harsh")
+        cells = train.tyro.cli(method, args=["--hand-eye-mm", "10", "--sensor", "harsh"]).cells
+        assert (cells.hand_eye_mm, cells.sensor) == (10.0, "harsh")
         assert train.tyro.cli(method, args=size).cells.bin == (0.3, 0.2, 0.15)
         assert train.tyro.cli(method, args=[]).cells.bin is None
 

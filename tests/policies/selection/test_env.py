@@ -12,6 +12,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import binpick_env  # noqa: F401  registers the id
+from binpick_env.env import BinPickEnv
+from binpick_env.options import CellOptions
 from policies.grasping.clearance import RankSettings
 from policies.picking.settings import PickerSettings
 from policies.selection.candidate_generator import ROWS
@@ -75,6 +77,27 @@ def test_the_docstring_tells_of_every_argument_and_feature() -> None:
         name for cells in re.findall(r"^    \| \d[\d to,]* \| (.*?) \|", table, re.M) for name in cells.split(", ")
     ]
     assert [name.strip("`") for name in listed] == list(FEATURES)
+
+
+def test_every_option_of_the_cell_is_taken() -> None:
+    """Every keyword of ``BinPick-v0`` but the shape of its observation, with the same default."""
+    cell, own = (inspect.signature(kind).parameters for kind in (BinPickEnv, GraspSelectionEnv))
+    missing = [name for name in cell if name not in own]
+    assert missing == ["obs_mode"]
+    assert all(own[name].default == cell[name].default for name in cell if name in own)
+
+
+def test_options_of_the_cell_arrive() -> None:
+    options: dict[str, Any] = {"density": 1000.0, "symmetry": "none", "bin": (0.3, 0.2, 0.1), "jaw": 0.07}
+    options |= {"camera_distance": 0.8, "width": 640, "height": 480, "hand_eye_mm": 5.0, "friction": 0.3}
+    env = GraspSelectionEnv(part="tee", **SMALL, **options)
+    expected = CellOptions(part="tee", **options)
+    for made in (env, pickle.loads(pickle.dumps(env))):
+        assert made.cell.config == expected.cell()
+        assert made.cell.part is expected.load_part()
+    env.close()
+    with pytest.raises(ValueError, match="unit must be one of"):
+        GraspSelectionEnv(**SMALL, unit="foot")  # type: ignore[arg-type]
 
 
 def test_two_copies_stay_equal(shared_env: GraspSelectionEnv) -> None:

@@ -1,13 +1,14 @@
 """Cells, and the log of attempts in them: what is written, what is kept, and which files of older versions are read."""
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from binpick_env.options import CellOptions
 from policies.selection.features import column
 from policies.selection.learning.experience import CONFIG, Attempts, Behaviour, Cells, ExperienceError
 from tests.policies.selection.learning.toy_selection import PARTS, attempt_log
@@ -15,22 +16,23 @@ from tests.policies.selection.learning.toy_selection import PARTS, attempt_log
 # --- cells -----------------------------------------------------------------------------------------------------------
 
 
-def test_cells_may_have_another_bin() -> None:
-    env = Cells(min_parts=1, max_parts=2, bin=(0.3, 0.2, 0.1)).environment()
-    assert env.cell.workspace.inner_size.tolist() == [0.3, 0.2, 0.1]
-    env.close()
-
-
-def test_cells_may_see_worse() -> None:
-    env = Cells(min_parts=1, max_parts=2, hand_eye=0.01).environment()
+def test_cells_have_the_options_of_a_cell() -> None:
+    options: dict[str, Any] = {"bin": (0.3, 0.2, 0.1), "hand_eye_mm": 10.0, "friction": 0.3, "jaw": 0.07}
+    options |= {"camera_distance": 0.8, "width": 640, "height": 480, "density": 1000.0, "symmetry": "none"}
+    env = Cells(min_parts=1, max_parts=2, max_failures=3, sensor="harsh", **options).environment()
+    assert env.cell.config == CellOptions(**options).cell()
     assert env.cell.config.camera.hand_eye == 0.01
+    assert env.cell.part is CellOptions(**options).load_part()
+    assert (env.cell._num_parts, env.cell._sensor, env.max_failures) == ((1, 2), "harsh", 3)
     env.close()
 
 
 def test_cells_are_written_as_json_gives_them_back() -> None:
-    plain = Cells(part="toy", bin=(0.3, 0.2, 0.1)).plain()
-    assert set(plain) == {field.name for field in fields(Cells)}
+    """The hand-eye error also under its former name, in metres."""
+    plain = Cells(part="toy", bin=(0.3, 0.2, 0.1), hand_eye_mm=10).plain()
+    assert set(plain) == {field.name for field in fields(Cells)} | {"hand_eye"}
     assert plain["bin"] == [0.3, 0.2, 0.1]
+    assert (plain["hand_eye_mm"], plain["hand_eye"]) == (10.0, 0.01)
 
 
 # --- logged attempts -------------------------------------------------------------------------------------------------
@@ -84,19 +86,27 @@ def test_a_folder_holds_attempts_in_the_same_bins_alone(tmp_path: Path) -> None:
             other.claim()
 
 
-def test_a_folder_of_an_older_version_is_resumed(tmp_path: Path) -> None:
-    """Before an option existed, all bins had its default."""
-    log = attempt_log(tmp_path)
+@pytest.mark.parametrize("hand_eye_mm", [0.0, 2.9, 10.0])
+def test_a_folder_of_an_older_version_is_resumed(tmp_path: Path, hand_eye_mm: float) -> None:
+    """It has the hand-eye error in metres, and lacks the options that came later: its bins had their defaults."""
+    log = replace(attempt_log(tmp_path), cells=Cells(part="toy", bin=(0.3, 0.2, 0.1), hand_eye_mm=hand_eye_mm))
     log.claim()
     path = tmp_path / CONFIG
     present = json.loads(path.read_text())
-    older = {**present, "cells": {name: value for name, value in present["cells"].items() if name != "bin"}}
-    path.write_text(json.dumps(older))
+    path.write_text(json.dumps({**present, "cells": older_cells(hand_eye_mm / 1000)}))
     log.claim()
     assert json.loads(path.read_text()) == present
-    path.write_text(json.dumps({**present, "cells": {**present["cells"], "lid": True}}))  # a newer version's
-    with pytest.raises(ExperienceError, match="holds attempts in other bins"):
-        log.claim()
+    for other in (older_cells(0.007), {**present["cells"], "lid": True}):  # of another camera; of a newer version
+        path.write_text(json.dumps({**present, "cells": other}))
+        with pytest.raises(ExperienceError, match="holds attempts in other bins"):
+            log.claim()
+
+
+def older_cells(hand_eye: float) -> dict[str, Any]:
+    """Return cells as they were written before ``hand_eye_mm``."""
+    choices = {"part": "toy", "min_parts": 20, "max_parts": 30, "perception": "oracle", "pose_noise": None}
+    limits = {"sensor": "good", "fast": False, "max_failures": 2, "bin": [0.3, 0.2, 0.1], "hand_eye": hand_eye}
+    return {**choices, **limits}
 
 
 @pytest.mark.parametrize(
