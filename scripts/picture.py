@@ -1,76 +1,8 @@
-"""Make the README's pictures: a settled bin with the arm over it, or what perception makes of a frame."""
+"""The same as ``binpick picture``."""
 
 import sys
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
-import numpy as np
-import tyro
-from numpy.typing import NDArray
-
-from policies.report.portrait import portrait, save_png
-
-
-@dataclass(frozen=True, kw_only=True)
-class Arguments:
-    """Make a picture of a settled bin with the arm over it, or of what perception makes of a frame.
-
-    No GL driver is needed.
-    """
-
-    show: Literal["cell", "segmentation", "poses"] = "cell"  # segmentation: image, true and predicted parts
-    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
-    seed: int = 0  # of the pile
-    width: int = 1200  # of the picture of the cell [px]
-    height: int = 800  # [px]
-    out: Path | None = None  # the PNG file; docs/SHOW.png unless given
-
-
-def main(args: Arguments) -> int:
-    """Make the picture; return the exit code."""
-    try:
-        if args.show == "cell":
-            picture = portrait(args.part, args.seed, args.width, args.height)
-        else:
-            picture = (_segmentation if args.show == "segmentation" else _poses)(args.part, args.seed)
-    except (ValueError, OSError, RuntimeError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    out = args.out or Path("docs") / f"{args.show}.png"
-    save_png(picture, out)
-    print(f"picture   {out}")
-    return 0
-
-
-def _segmentation(part: str, seed: int) -> NDArray[np.uint8]:
-    # torch takes seconds to import
-    from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, evaluate_scene
-    from binpick_env.evaluation.segmentation.method import MethodConfig
-    from binpick_env.evaluation.segmentation.pictures import side_by_side
-    from binpick_env.scenes.synthesis import SceneConfig
-    from perception.segmentation.weights import find_weights
-
-    method = MethodConfig(weights=find_weights(Path(part).stem))
-    return side_by_side(evaluate_scene(EvaluationConfig(scenes=SceneConfig(part=part, seed=seed), method=method), 0))
-
-
-def _poses(part: str, seed: int) -> NDArray[np.uint8]:
-    from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_pose_scene
-    from binpick_env.evaluation.pose.judgement import PoseScore
-    from binpick_env.evaluation.pose.method import PoseMethodConfig
-    from binpick_env.evaluation.pose.pictures import outlines
-    from binpick_env.parts import load_part
-    from binpick_env.scenes.synthesis import SceneConfig
-    from perception.pose.model.appearances import edge_appearances
-    from perception.segmentation.weights import find_weights
-
-    method = PoseMethodConfig(perception="learned", weights=find_weights(Path(part).stem))
-    record = evaluate_pose_scene(PoseEvaluationConfig(scenes=SceneConfig(part=part, seed=seed), method=method), 0)
-    model = load_part(part).model
-    bgr = outlines(record, PoseScore.of(record, 0, model), edge_appearances(model))
-    return np.ascontiguousarray(bgr[:, :, ::-1])
-
+from policies.commands.main import main
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Arguments)))
+    sys.exit(main(["picture", *sys.argv[1:]]))

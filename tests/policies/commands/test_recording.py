@@ -1,4 +1,4 @@
-"""`pick.py --rerun`, from its mistakes to its file."""
+"""`binpick pick --rerun`, from its mistakes to its file."""
 
 import json
 import sys
@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from rerun.chunk import RrdReader
 
-from tests.policies.commands.test_scripts import TINY, load, run
+from policies.commands import pick
+from tests.policies.commands.command_calls import TINY, run
 
 
 def rows_of(path: Path) -> dict[str, int]:
@@ -28,9 +29,8 @@ def rows_of(path: Path) -> dict[str, int]:
 def test_a_mistake_is_one_line_before_anything_is_computed(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pick = load("pick.py")
     out = tmp_path / "out"
-    assert pick.main(pick.tyro.cli(pick.Arguments, args=[*arguments, "--out", str(out)])) == 2
+    assert pick.main([*arguments, "--out", str(out)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"error: {message}")
     assert not out.exists()
@@ -39,10 +39,9 @@ def test_a_mistake_is_one_line_before_anything_is_computed(
 def test_without_the_extra_the_error_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pick = load("pick.py")
     monkeypatch.setitem(sys.modules, "rerun", None)  # an import of it fails
     arguments = ["--rerun", str(tmp_path / "bin.rrd"), "--out", str(tmp_path / "out")]
-    assert pick.main(pick.tyro.cli(pick.Arguments, args=arguments)) == 2
+    assert pick.main(arguments) == 2
     assert 'pip install "binpick[viz]"' in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
@@ -51,15 +50,15 @@ def test_without_the_extra_the_error_names_it(
 def test_the_worker_that_picks_the_first_bin_records_it(tmp_path: Path) -> None:
     out, path = tmp_path / "out", tmp_path / "new" / "bin.rrd"
     seen = ["--perception", "learned", "--min-parts", "2", "--max-parts", "2", "--no-html", "--out", str(out)]
-    assert run("pick.py", "--bins", "2", "--seed", "31", "--workers", "2", *seen, cwd=tmp_path).returncode == 0
+    assert run("pick", "--bins", "2", "--seed", "31", "--workers", "2", *seen, cwd=tmp_path).returncode == 0
     before = [json.loads((out / f"bin_000{k}.json").read_text())["picks"] for k in range(2)]
     made = [(out / f"bin_000{k}.json").stat().st_mtime_ns for k in range(2)]
     recorded = [*seen, "--fresh", "--rerun", str(path)]
-    done = run("pick.py", "--bins", "2", "--seed", "31", "--workers", "2", *recorded, cwd=tmp_path)
+    done = run("pick", "--bins", "2", "--seed", "31", "--workers", "2", *recorded, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     after = [json.loads((out / f"bin_000{k}.json").read_text())["picks"] for k in range(2)]
-    for pick in [pick for picks in (*before, *after) for pick in picks]:
-        pick["t_compute"] = 0.0
+    for each in [each for picks in (*before, *after) for each in picks]:
+        each["t_compute"] = 0.0
     assert after == before
     assert made[0] != (out / "bin_0000.json").stat().st_mtime_ns
     assert [each.name for each in path.parent.iterdir()] == ["bin.rrd"]
@@ -69,10 +68,9 @@ def test_the_worker_that_picks_the_first_bin_records_it(tmp_path: Path) -> None:
 
 
 def test_a_bin_that_is_there_is_computed_again_for_its_recording(tmp_path: Path) -> None:
-    pick = load("pick.py")
     common = [*TINY, "--part", "part_c", "--bins", "1", "--seed", "31", "--no-html", "--out", str(tmp_path / "out")]
-    assert pick.main(pick.tyro.cli(pick.Arguments, args=common)) == 0
+    assert pick.main(common) == 0
     made = (tmp_path / "out" / "bin_0000.json").stat().st_mtime_ns
-    assert pick.main(pick.tyro.cli(pick.Arguments, args=[*common, "--rerun", str(tmp_path / "bin.rrd")])) == 0
+    assert pick.main([*common, "--rerun", str(tmp_path / "bin.rrd")]) == 0
     assert (tmp_path / "out" / "bin_0000.json").stat().st_mtime_ns > made
     assert rows_of(tmp_path / "bin.rrd")["/log"] >= 1

@@ -1,52 +1,42 @@
-"""scripts/s3dis.py from synthetic rooms to the table."""
+"""`binpick s3dis` from synthetic rooms to the table."""
 
 import json
-import os
-import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
+from perception.s3dis.data import raw_tree
 from perception.s3dis.data.categories import SCORED
 from perception.s3dis.data.room import room_path
 from perception.s3dis.presets import ROWS
 from perception.segmentation.weights import load_network, load_record
+from policies.commands import s3dis, s3dis_table
 from tests.perception.s3dis.s3dis_tree import LINES, told_by_colour_room, write_tree
-from tests.policies.commands.test_scripts import load
-
-ROOT = Path(__file__).resolve().parents[3]
+from tests.policies.commands.command_calls import script, start
 
 
-@pytest.fixture
-def script() -> ModuleType:
-    return load("s3dis.py")
+def call(*arguments: object) -> int:
+    return s3dis.main([str(argument) for argument in arguments])
 
 
-def call(script: ModuleType, *arguments: object) -> int:
-    return int(script.main(script.tyro.cli(script.Arguments, args=[str(argument) for argument in arguments])))
-
-
-def test_synthesize_prepare_and_both_identities(
-    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_synthesize_prepare_and_both_identities(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     raw, rooms = tmp_path / "raw", tmp_path / "rooms"
     made = ("synthesize", "--out", raw, "--rooms", 3, "--seed", 31, "--density", 150, "--workers", 1)
-    assert call(script, *made) == 0
-    assert call(script, *made) == 0
+    assert call(*made) == 0
+    assert call(*made) == 0
     assert f"3 rooms in {raw}" in capsys.readouterr().out
     prepared = ("prepare", "--raw", raw, "--out", rooms, "--workers", 2, "--json", tmp_path / "made.json")
-    assert call(script, *prepared) == 0
+    assert call(*prepared) == 0
     first = json.loads((tmp_path / "made.json").read_text())
     assert (first["rooms"], first["new"], first["remarks"]) == (3, 3, [])
-    assert call(script, *prepared) == 0
+    assert call(*prepared) == 0
     assert json.loads((tmp_path / "made.json").read_text())["new"] == 0
     capsys.readouterr()
     for predictions, least in (("ground_truth", 1.0), ("merged_ground_truth_blocks", 0.99)):
         out = tmp_path / f"{predictions}.json"
         judged = ("evaluate", "--rooms", rooms, "--predictions", predictions, "--workers", 1, "--json", out)
-        assert call(script, *judged) == 0
+        assert call(*judged) == 0
         found = json.loads(out.read_text())
         assert tuple(found["ap50"]) == SCORED
         assert min(found["mean_ap50"], found["ap25"]) >= least
@@ -55,13 +45,13 @@ def test_synthesize_prepare_and_both_identities(
         table = capsys.readouterr().out
         assert "SGPN (PointNet, colour)" in table
         assert predictions in table
-    assert call(script, "evaluate", "--rooms", rooms, "--predictions", "ground_truth", "--population", "blocks") == 0
+    assert call("evaluate", "--rooms", rooms, "--predictions", "ground_truth", "--population", "blocks") == 0
     assert "blocks" not in capsys.readouterr().err
 
 
-def test_remarks_are_printed(script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_remarks_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_tree(tmp_path / "raw", {"Area_1/office_1/stairs_1": LINES})
-    assert call(script, "prepare", "--raw", tmp_path / "raw", "--out", tmp_path / "out") == 0
+    assert call("prepare", "--raw", tmp_path / "raw", "--out", tmp_path / "out") == 0
     assert "stairs_1.txt: stairs read as clutter\n" in capsys.readouterr().out
 
 
@@ -80,7 +70,6 @@ def test_remarks_are_printed(script: ModuleType, tmp_path: Path, capsys: pytest.
     ],
 )
 def test_a_users_mistake_is_one_line_and_exit_code_2(
-    script: ModuleType,
     arguments: list[str],
     message: str,
     tmp_path: Path,
@@ -89,7 +78,7 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_tree(tmp_path / "broken", {"Area_1/office_1/wall_1": LINES, "Area_1/office_2/wall_1": LINES + "1 2 3\n"})
-    assert call(script, *arguments) == 2
+    assert call(*arguments) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
     assert message in line
     assert not list((tmp_path / "out").rglob("*office_2*"))
@@ -105,30 +94,27 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(
     ],
 )
 def test_arguments_that_do_not_go_together_are_named(
-    script: ModuleType, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        call(script, *arguments)
+    assert call(*arguments) == 2
     assert message in capsys.readouterr().err
 
 
-def test_a_tree_of_another_seed_is_not_mixed(
-    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_tree_of_another_seed_is_not_mixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     common = ("synthesize", "--out", tmp_path, "--rooms", 1, "--density", 20, "--workers", 1)
-    assert call(script, *common, "--seed", 31) == 0
-    assert call(script, *common, "--seed", 32) == 2
+    assert call(*common, "--seed", 31) == 0
+    assert call(*common, "--seed", 32) == 2
     assert "seed: 31 there, 32 here" in capsys.readouterr().err
 
 
 def test_ctrl_c_says_how_to_go_on(
-    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(script, "find_raw_rooms", interrupted)
-    assert call(script, "prepare", "--raw", tmp_path, "--out", tmp_path) == 130
+    monkeypatch.setattr(raw_tree, "find_raw_rooms", interrupted)
+    assert call("prepare", "--raw", tmp_path, "--out", tmp_path) == 130
     assert "the same command goes on from there" in capsys.readouterr().err
 
 
@@ -142,18 +128,18 @@ def small_rooms(tmp_path: Path) -> Path:
 
 
 def test_train_and_evaluate_print_table_1_with_our_row(
-    script: ModuleType, small_rooms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_rooms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     train = ("train", "--rooms", small_rooms, "--row", "dgcnn-new", "--budget", "small", "--out", out, "--seed", 3)
     train += ("--points", 64, "--batch", 2, "--held-out", 1, "--threads", 1)
-    assert call(script, *train, "--steps", 2) == 0
+    assert call(*train, "--steps", 2) == 0
     assert str(out / "weights.safetensors") in capsys.readouterr().out
-    assert call(script, *train, "--steps", 2) == 0  # nothing is left to do
-    assert call(script, *train, "--steps", 3) == 2
+    assert call(*train, "--steps", 2) == 0  # nothing is left to do
+    assert call(*train, "--steps", 3) == 2
     assert "belongs to another training (steps: 2 there, 3 here)" in capsys.readouterr().err
     judged = ("evaluate", "--rooms", small_rooms, "--weights", out / "weights.safetensors", "--json", tmp_path / "e")
-    assert call(script, *judged, "--workers", 2) == 0
+    assert call(*judged, "--workers", 2) == 0
     table = capsys.readouterr().out
     assert "last row: 1 rooms" in table  # of Area 5 alone
     assert [line.split("  ")[0] for line in table.splitlines() if "  " in line][1:6] == [
@@ -163,18 +149,18 @@ def test_train_and_evaluate_print_table_1_with_our_row(
     found = json.loads((tmp_path / "e").read_text())
     assert {"ap50", "mean_ap50", "ap25", "ap"} <= found.keys()
     assert (found["training"]["row"], found["training"]["steps"]) == ("dgcnn-new", 2)
-    assert call(script, *judged, "--workers", 1, "--areas", 1, 2, "--threshold", 5.0, "--population", "blocks") == 0
+    assert call(*judged, "--workers", 1, "--areas", 1, 2, "--threshold", 5.0, "--population", "blocks") == 0
     assert "last row: 2 rooms" in capsys.readouterr().out
 
 
 def test_the_table_trains_every_row_and_goes_on_with_more_seeds(
     small_rooms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    script, out = load("s3dis_table.py"), tmp_path / "table"
+    out = tmp_path / "table"
 
     def make(*arguments: object) -> int:
         given = ["--rooms", small_rooms, "--out", out, "--points", 64, "--batch", 2, "--held-out", 1, *arguments]
-        return int(script.main(script.tyro.cli(script.Arguments, args=[str(argument) for argument in given])))
+        return s3dis_table.main([str(argument) for argument in given])
 
     assert make("--steps", 1, "--seeds", 1, "--workers", 2, "--json", tmp_path / "t.json") == 0
     text = capsys.readouterr().out
@@ -194,10 +180,9 @@ def test_the_table_trains_every_row_and_goes_on_with_more_seeds(
 @pytest.mark.slow
 def test_two_processes_train_one_row_and_one_of_them_writes(small_rooms: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    command += [str(ROOT / "scripts" / "s3dis.py"), "train", "--rooms", str(small_rooms), "--row", "sgpn-colour"]
+    command += [str(script("s3dis")), "train", "--rooms", str(small_rooms), "--row", "sgpn-colour"]
     command += ["--budget", "small", "--steps", "2", "--batch", "2", "--points", "32", "--held-out", "1"]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    done = start(command, tmp_path, OMP_NUM_THREADS="1")
     assert done.returncode == 0, done.stderr
     out = tmp_path / "runs" / "s3dis-sgpn-colour-small-0"
     assert len((out / "log.jsonl").read_text().splitlines()) == 1

@@ -1,11 +1,9 @@
-"""scripts/train_segmentation.py from scenes to installed weights, alone and in two processes."""
+"""`binpick train-segmentation` from scenes to installed weights, alone and in two processes."""
 
 import json
-import os
-import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import torch
@@ -13,15 +11,14 @@ import torch
 from perception.segmentation.scene import SCENES_NOTE
 from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS
 from perception.segmentation.weights import find_weights, load_network, load_record
+from policies.commands import train_segmentation as train
 from tests.perception.disc_scene import disc_scene
-from tests.policies.commands.test_scripts import load
-
-ROOT = Path(__file__).resolve().parents[3]
+from tests.policies.commands.command_calls import script, start
 
 
-@pytest.fixture
-def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """Return the script, in a folder with scenes of two parts; weights go to a cache of their own."""
+@pytest.fixture(autouse=True)
+def _scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Go to a folder with scenes of two parts; weights go to a cache of their own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
     for part in ("nut", "bolt"):
@@ -29,19 +26,19 @@ def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
             disc_scene(k, points_each=40).save(tmp_path / "runs" / f"scenes-{part}-0" / f"scene_{k:05d}.npz")
         (tmp_path / "runs" / f"scenes-{part}-0" / SCENES_NOTE).write_text(json.dumps({"part": part, "seed": 3}))
     before = torch.get_num_threads()
-    yield load("train_segmentation.py")
+    yield
     torch.set_num_threads(before)
 
 
-def call(script: ModuleType, *arguments: str) -> int:
+def call(*arguments: str) -> int:
     common = ("--batch", "1", "--held-out", "1", "--threads", "1", "--no-tensorboard")
-    return int(script.main(script.tyro.cli(script.Arguments, args=[*common, *arguments])))
+    return train.main([*common, *arguments])
 
 
 def test_one_network_for_two_parts_is_trained_installed_and_found(
-    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(script, "--part", "nut", "bolt", "--steps", "2", "--json", "last.json") == 0
+    assert call("--part", "nut", "bolt", "--steps", "2", "--json", "last.json") == 0
     out = tmp_path / "runs" / "segmentation-shared-ours-0"
     assert {CHECKPOINT, LOG, WEIGHTS} <= {path.name for path in out.iterdir()}
     assert find_weights("bolt") == find_weights("nut") == tmp_path / "cache" / "weights" / "shared.safetensors"
@@ -51,15 +48,15 @@ def test_one_network_for_two_parts_is_trained_installed_and_found(
     assert [source["seed"] for source in record["validated_on"]] == [3, 3]
     assert json.loads((tmp_path / "last.json").read_text())["validation"].keys() >= {"ap50", "ap75"}
     assert "installed" in capsys.readouterr().out
-    assert call(script, "--part", "nut", "bolt", "--steps", "2") == 0  # nothing is left to do
+    assert call("--part", "nut", "bolt", "--steps", "2") == 0  # nothing is left to do
     assert "goes on from step 2" in capsys.readouterr().out
 
 
-def test_the_papers_preset_trains_200_epochs_unless_told_otherwise(script: ModuleType) -> None:
-    args = script.Arguments(part=("nut",), preset="paper")
+def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
+    args = train.Arguments(part=("nut",), preset="paper")
     assert args.length(args.config(), 1000).steps == 100_000
     assert args.length(args.config(), 1000, world=4).steps == 25_000
-    assert script.Arguments(preset="paper", steps=7).length(args.config(), 1000).steps == 7
+    assert train.Arguments(preset="paper", steps=7).length(args.config(), 1000).steps == 7
 
 
 @pytest.mark.parametrize(
@@ -75,22 +72,18 @@ def test_the_papers_preset_trains_200_epochs_unless_told_otherwise(script: Modul
     ],
 )
 def test_a_users_mistake_is_one_line_and_exit_code_2(
-    script: ModuleType, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(script, *arguments) == 2
+    assert call(*arguments) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
     assert message in line
 
 
 @pytest.mark.slow
-def test_two_processes_train_one_network_and_one_of_them_writes(script: ModuleType, tmp_path: Path) -> None:
+def test_two_processes_train_one_network_and_one_of_them_writes(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    command += [str(ROOT / "scripts" / "train_segmentation.py"), "--part", "nut", "--steps", "2", "--batch", "1"]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [*command, "--held-out", "1", "--no-tensorboard"],
-        cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+    command += [str(script("train-segmentation")), "--part", "nut", "--steps", "2", "--batch", "1"]
+    done = start([*command, "--held-out", "1", "--no-tensorboard"], tmp_path, OMP_NUM_THREADS="1")
     assert done.returncode == 0, done.stderr
     out = tmp_path / "runs" / "segmentation-nut-ours-0"
     assert len((out / LOG).read_text().splitlines()) == 1

@@ -1,0 +1,1 @@
+"""The command line: ``binpick``, one module a command. Nothing here is for other programs to import."""

@@ -1,0 +1,124 @@
+"""``binpick bench``: speeds are measured, kept and compared."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from policies.commands.command_line import exit_code, parse
+
+
+@dataclass(frozen=True, kw_only=True)
+class Files:
+    """Where rows are kept, or read from."""
+
+    save: Path | None = None  # keep the rows in this JSON file
+    json: Path | None = None  # the same as --save
+    compare: tuple[Path, Path] | None = None  # measure nothing: compare two kept files, the older one first
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell(Files):
+    """Settling, stepping, camera frames by backend, attempts; everything on one core."""
+
+    part: str = "tee"  # catalogue name or mesh file
+    count: int = 25  # parts in the bin
+    seed: int = 0  # of the first pile
+    repeats: int = 5  # of every row but those of picking
+    picks: int = 20  # attempts behind the rows of picking
+
+    def measure(self) -> Iterator[Any]:
+        """Yield the rows as they are measured."""
+        from policies.benchmarks.cell import bench_cell
+
+        return bench_cell(self.part, self.count, self.seed, self.repeats, self.picks)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segmentation(Files):
+    """Labelled scenes, a frame from pixels to labelled points, training with and without what makes it fast."""
+
+    part: str = "tee"  # catalogue name or mesh file, with weights
+    seed: int = 0  # of the scenes
+    repeats: int = 5  # of every row
+    threads: int = 2  # of torch
+
+    def measure(self) -> Iterator[Any]:
+        """Yield the rows as they are measured."""
+        from policies.benchmarks.segmentation import bench_segmentation
+
+        return bench_segmentation(self.part, self.seed, self.repeats, self.threads)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose(Files):
+    """Pose estimation against OpenCV's and Open3D's on the same inputs, with one thread and two."""
+
+    part: str = "tee"  # catalogue name or mesh file
+    count: int = 20  # scenes, each of three segments
+    whole_scenes: int = 2  # of them, searched as a whole, too
+    seed: int = 0  # of the scenes
+    opencv_python: Path | None = None  # interpreter of an environment with opencv-contrib-python-headless
+    open3d_python: Path | None = None  # interpreter of an environment with open3d-cpu
+
+    def measure(self) -> Iterator[Any]:
+        """Yield the rows as they are measured."""
+        from policies.benchmarks.pose import bench_pose
+
+        interpreters = {"opencv": self.opencv_python, "open3d": self.open3d_python}
+        return bench_pose(self.part, self.seed, self.count, self.whole_scenes, interpreters)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Selection(Files):
+    """Attempts a second of BinPickSelect-v0, in full and fast, in as many processes as there are workers."""
+
+    part: str = "tee"  # catalogue name or mesh file
+    seed: int = 0  # of the first pile
+    picks: int = 40  # attempts of each process
+    workers: int = 2  # processes, one core each
+
+    def measure(self) -> Iterator[Any]:
+        """Yield the rows as they are measured."""
+        from policies.benchmarks.selection import bench_selection
+
+        return bench_selection(self.part, self.seed, self.picks, self.workers)
+
+
+Arguments = Cell | Segmentation | Pose | Selection
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read the options and measure; return the exit code."""
+    return run(parse(Arguments, "bench", arguments))
+
+
+def run(args: Arguments) -> int:
+    """Measure, or compare; return the exit code."""
+    return exit_code(lambda: _bench(args), (ValueError, OSError, RuntimeError))
+
+
+def _bench(args: Arguments) -> str:
+    from tqdm import tqdm
+
+    from policies.benchmarks.measurement import comparison_table, load_benchmark, save_benchmark
+
+    if args.compare is not None:
+        return comparison_table(*(load_benchmark(path) for path in args.compare))
+    name = type(args).__name__.lower()
+    rows = list(tqdm(args.measure(), desc=name, unit="row"))
+    lines = [_table(args)(rows)]
+    for path in filter(None, (args.save, args.json)):
+        save_benchmark(path, name, rows)
+        lines.append(f"kept in   {path}")
+    return "\n".join(lines)
+
+
+def _table(args: Arguments) -> Callable[[Sequence[Any]], str]:
+    if isinstance(args, Pose):
+        from policies.benchmarks.pose import pose_table
+
+        return pose_table
+    from policies.benchmarks.measurement import benchmark_table
+
+    return benchmark_table

@@ -1,0 +1,66 @@
+"""``binpick check-fast``: the same attempts made in full and in the fast training mode, compared."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from binpick_env.config import SensorPreset
+from policies.commands.command_line import exit_code, parse
+
+if TYPE_CHECKING:
+    from policies.selection.env import GraspSelectionEnv
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Compare attempts from the same states; grasps are drawn at random from those on offer."""
+
+    part: str = "tee"  # catalogue name, or path to an STL, OBJ or PLY file
+    attempts: int = 100  # pairs
+    seed: int = 0  # of the first pile
+    sensor: SensorPreset = "good"  # the depth camera's noise
+    min_parts: int = 20  # smallest fill of a bin
+    max_parts: int = 30  # largest fill
+    json: Path | None = None  # where to write the pairs
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read the options and compare; return the exit code."""
+    return run(parse(Arguments, "check-fast", arguments))
+
+
+def run(args: Arguments) -> int:
+    """Compare; return the exit code."""
+    return exit_code(lambda: _compare(args), (ValueError, OSError, RuntimeError))
+
+
+def _compare(args: Arguments) -> str:
+    from tqdm import tqdm
+
+    from perception.runtime.files import json_text, write_atomically
+    from perception.runtime.provenance import command_line, git_commit
+    from perception.runtime.threads import one_core
+    from policies.selection.fast_agreement import agreement_table, paired_attempts
+
+    with one_core():
+        full, fast = _env(args, fast=False), _env(args, fast=True)
+        pairs = list(tqdm(paired_attempts(full, fast, args.seed, args.attempts), total=args.attempts, unit="pair"))
+    if args.json is not None:
+        facts = {"command": command_line(), "commit": git_commit(), "pairs": [asdict(pair) for pair in pairs]}
+        write_atomically(args.json, json_text(facts))
+    return agreement_table(pairs)
+
+
+def _env(args: Arguments, *, fast: bool) -> "GraspSelectionEnv":
+    from policies.selection.env import GraspSelectionEnv
+
+    return GraspSelectionEnv(
+        part=args.part,
+        num_parts=(args.min_parts, args.max_parts),
+        sensor=args.sensor,
+        perception="oracle",
+        threads=1,
+        max_failures=None,
+        fast=fast,
+    )

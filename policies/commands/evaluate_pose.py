@@ -1,0 +1,147 @@
+"""``binpick evaluate-pose``: recognition, recall and precision of poses on fresh scenes, and the time it takes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from binpick_env.config import Backend, CameraConfig, SensorPreset
+from binpick_env.evaluation.choices import PosePerception
+from binpick_env.parts.unit import Unit
+from policies.commands.command_line import exit_code, parse
+
+if TYPE_CHECKING:
+    from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig
+    from binpick_env.scenes.synthesis import SceneConfig
+    from perception.pose.estimator_config import EstimatorConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Estimate the poses of scenes that nothing was trained on, and print how well it went.
+
+    Every scene is kept as it is finished: the same command again goes on where it was stopped. With --ablation, rows
+    that each leave one idea out are judged on the same scenes and true segments.
+    """
+
+    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
+    unit: Unit | None = None  # of a file's coordinates; metres or millimetres, whichever is plausible, unless given
+    count: int = 20  # scenes
+    seed: int = 7  # scene i's own seed follows from this and i alone; not one that was trained with
+    perception: PosePerception = "learned"  # gt_masks: with the true segments; whole_scene: without any
+    weights: Path | None = None  # of the segmentation, a .safetensors file; those found for the part unless given
+    min_score: float | None = None  # from which a pose is verified; the estimator's own unless given
+    sensor: SensorPreset = "good"  # the depth camera's noise
+    jitter: bool = True  # vary the camera's place and the light from scene to scene
+    workers: int = 2  # processes, each on one core; 1 computes in this one on all cores: so time it
+    min_parts: int = 20  # smallest fill of a bin
+    max_parts: int = 30  # largest fill
+    width: int = 1280  # of the camera's image [px]
+    height: int = 960  # [px]
+    backend: Backend = CameraConfig().backend  # what renders the camera's frames
+    fresh: bool = False  # compute every scene again, those that are there already too
+    out: Path | None = None  # folder of the results; runs/pose-eval-PART-PERCEPTION-SEED unless given
+    json: Path | None = None  # where to write the numbers; results.json in the folder unless given
+    html: bool = False  # write report.html into the folder, with pictures
+    gallery: int = 30  # scenes that the report shows at most, the worst first
+    table3: bool = False  # print the layout of the paper's table 3, too
+    ablation: bool = False  # the rows of an ablation instead of one method
+
+    def folder(self) -> Path:
+        """Return where the results are kept."""
+        kind = "pose-ablation" if self.ablation else "pose-eval"
+        mode = "" if self.ablation else f"-{self.perception}"
+        return self.out or Path("runs") / f"{kind}-{Path(self.part).stem}{mode}-{self.seed}"
+
+    def scene_config(self) -> "SceneConfig":
+        """Return what the scenes depend on."""
+        from binpick_env.scenes.synthesis import SceneConfig
+
+        return SceneConfig(
+            part=self.part,
+            unit=self.unit,
+            seed=self.seed,
+            num_parts=(self.min_parts, self.max_parts),
+            sensor=self.sensor,
+            jitter=self.jitter,
+            camera=CameraConfig(width=self.width, height=self.height, backend=self.backend),
+        )
+
+    def estimator(self) -> "EstimatorConfig":
+        """Return how poses are found."""
+        from perception.pose.estimator_config import EstimatorConfig
+
+        default = EstimatorConfig()
+        return default if self.min_score is None else replace(default, min_score=self.min_score)
+
+    def config(self) -> "PoseEvaluationConfig":
+        """Return what the numbers depend on."""
+        from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig
+        from binpick_env.evaluation.pose.method import PoseMethodConfig
+        from perception.segmentation.weights import find_weights
+
+        weights = self.weights
+        if self.perception == "learned" and weights is None:
+            weights = find_weights(Path(self.part).stem)
+        method = PoseMethodConfig(perception=self.perception, weights=weights, estimator=self.estimator())
+        return PoseEvaluationConfig(scenes=self.scene_config(), method=method)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read the options and evaluate; return the exit code."""
+    return run(parse(Arguments, "evaluate-pose", arguments))
+
+
+def run(args: Arguments) -> int:
+    """Evaluate; return the exit code."""
+    from binpick_env.cell.settle import SettleError
+    from binpick_env.jobs.process_map import WorkerError
+
+    stopped = f"stopped; what is finished is kept in {args.folder()}: the same command goes on"
+    work = _ablation if args.ablation else _evaluation
+    return exit_code(lambda: work(args), (ValueError, OSError, SettleError, WorkerError), stopped)
+
+
+def _evaluation(args: Arguments) -> str:
+    import numpy as np
+    from tqdm import tqdm
+
+    from binpick_env.evaluation.pose.evaluation import evaluate_poses
+    from binpick_env.evaluation.pose.judgement import load_pose_scores
+    from binpick_env.evaluation.pose.report import write_pose_report
+    from binpick_env.evaluation.pose.summary import summarise_poses
+    from binpick_env.evaluation.pose.table import pose_table, table_three
+    from binpick_env.evaluation.segmentation.summary import save_summary
+    from perception.pose.model.appearances import edge_appearances
+
+    config, out = args.config(), args.folder()
+    done = evaluate_poses(config, args.count, out, args.workers, fresh=args.fresh)
+    for _ in tqdm(done, total=args.count, desc=args.part, unit="scene", smoothing=0.02):
+        pass
+    part = config.load().part
+    scores = load_pose_scores(out, args.count, part)
+    summary = summarise_poses(config, scores, np.random.default_rng(args.seed))
+    results = args.json or out / "results.json"
+    save_summary(results, summary)
+    lines = [pose_table(summary), *(["", table_three(summary), ""] if args.table3 else []), f"numbers   {results}"]
+    if args.html:
+        edges = edge_appearances(part, config.method.estimator.edges)
+        write_pose_report(out / "report.html", summary, scores, out, edges, args.gallery)
+        lines.append(f"report    {out / 'report.html'}")
+    return "\n".join(lines)
+
+
+def _ablation(args: Arguments) -> str:
+    from tqdm import tqdm
+
+    from binpick_env.evaluation.pose.ablation import PoseAblationConfig, pose_rows, run_pose_ablation
+    from binpick_env.evaluation.pose.ablation_table import pose_ablation_table
+    from binpick_env.evaluation.segmentation.summary import save_summary
+
+    out, rows = args.folder(), pose_rows(args.estimator())
+    config = PoseAblationConfig(scenes=args.scene_config(), count=args.count, rows=rows)
+    with tqdm(desc=args.part, bar_format="{desc} · {elapsed}") as bar:
+        table = run_pose_ablation(config, out, args.workers, fresh=args.fresh, report=bar.set_description_str)
+    results = args.json or out / "results.json"
+    save_summary(results, table)
+    return f"{pose_ablation_table(table)}\nnumbers   {results}"

@@ -1,0 +1,97 @@
+"""``binpick evaluate-selector``: heuristics and trained selectors on the same bins, with paired intervals."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from binpick_env.config import CameraConfig, Perception, SensorPreset
+from policies.commands.command_line import exit_code, parse
+from policies.selection.choices import HEURISTICS
+
+if TYPE_CHECKING:
+    from policies.evaluation.config import EvaluationConfig
+    from policies.evaluation.jobs import Job
+    from policies.evaluation.records import BinRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Let selectors pick the same bins and print how well they did beside each other.
+
+    Every bin is kept as it is finished: the same command again goes on where it was stopped. A hard bin is, for one,
+    --part bracket --min-parts 30 --max-parts 30 --sensor harsh --hand-eye 0.01. Among the selectors, hindsight tries
+    what is on offer from the same state until something delivers: a bound for the others, at several attempts a
+    decision.
+    """
+
+    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
+    # heuristics by name, trained ones by the path of their .safetensors, and hindsight for the bound
+    selectors: tuple[str, ...] = HEURISTICS
+    bins: int = 50  # how many bins
+    seed: int = 0  # bin i's own seed follows from this and i alone
+    perception: Perception = "learned"  # from pixels; gt_masks: true segments; oracle: true poses of visible parts
+    sensor: SensorPreset = "good"  # the depth camera's noise
+    min_parts: int = 20  # smallest fill of a bin
+    max_parts: int = 30  # largest fill
+    bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; the standard bin unless given
+    hand_eye: float = 0.0  # error of the camera's reported place, standard deviation an axis [m]
+    workers: int = 1  # processes; each computes on one core
+    out: Path | None = None  # folder of the records; runs/selectors-PART-PERCEPTION-SENSOR-SEED unless given
+    json: Path | None = None  # where to write the numbers; selectors.json in the folder unless given
+
+    def config(self) -> "EvaluationConfig":
+        """Return what the numbers depend on."""
+        from policies.evaluation.config import EvaluationConfig
+
+        return EvaluationConfig(
+            part=self.part,
+            seed=self.seed,
+            perception=self.perception,
+            sensor=self.sensor,
+            num_parts=(self.min_parts, self.max_parts),
+            bin=self.bin,
+            camera=CameraConfig(hand_eye=self.hand_eye),
+        )
+
+    def job(self) -> "Job":
+        """Return how it is done."""
+        from policies.evaluation.jobs import Job
+
+        name = f"selectors-{Path(self.part).stem}-{self.perception}-{self.sensor}-{self.seed}"
+        return Job(out=self.out or Path("runs") / name, bins=self.bins, workers=self.workers)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read the options and compare; return the exit code."""
+    return run(parse(Arguments, "evaluate-selector", arguments))
+
+
+def run(args: Arguments) -> int:
+    """Compare; return the exit code."""
+    from policies.evaluation.bin_evaluation import BinError
+
+    stopped = "stopped; finished bins are kept: the same command goes on from there"
+    return exit_code(lambda: _compare(args), (BinError, ValueError, OSError), stopped)
+
+
+def _compare(args: Arguments) -> str:
+    from tqdm import tqdm
+
+    from policies.evaluation.conditions import conditions
+    from policies.selection.evaluation import compare_selectors, evaluate_selectors, save_standings, standings_table
+
+    config, job = args.config(), args.job()
+    config.check()
+    with tqdm(total=args.bins * len(args.selectors), unit="bin", smoothing=0) as bar:
+
+        def on_bin(name: str, record: "BinRecord") -> None:
+            bar.set_postfix(selector=name, last=f"{record.delivered}/{record.parts_total} parts")
+            bar.update()
+
+        records = evaluate_selectors(config, job, args.selectors, on_bin)
+    best, standings = compare_selectors(records, args.seed)
+    title = " · ".join([args.part, *conditions(asdict(config)), f"{args.bins} bins", f"seed {args.seed}"])
+    path = args.json or job.out / "selectors.json"
+    save_standings(path, config, best, standings, records)
+    return "\n".join([title, standings_table(best, standings), f"kept in {path}"])

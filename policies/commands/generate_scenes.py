@@ -1,0 +1,86 @@
+"""``binpick generate-scenes``: labelled boundary scenes to train the segmentation on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from binpick_env.config import Backend, CameraConfig, SensorChoice
+from binpick_env.parts.unit import Unit
+from policies.commands.command_line import exit_code, parse
+
+if TYPE_CHECKING:
+    from binpick_env.scenes.synthesis import SceneConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Drop piles of parts, look at them and write boundary points with their labels, a compressed file a scene.
+
+    The same command again goes on where it was stopped; a larger --count adds to what is there.
+    """
+
+    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
+    unit: Unit | None = None  # of a file's coordinates; metres or millimetres, whichever is plausible, unless given
+    count: int = 1000  # scenes
+    seed: int = 0  # scene i's own seed follows from this and i alone; test with another one than you train with
+    out: Path | None = None  # folder of the scenes; runs/scenes-PART-SEED unless given
+    workers: int = 2  # processes; each computes on one core
+    sensor: SensorChoice = "good"  # the depth camera's noise; mixed draws it for each scene
+    jitter: bool = True  # vary the camera's place and the light from scene to scene
+    min_parts: int = 20  # smallest fill of a bin
+    max_parts: int = 30  # largest fill
+    width: int = 1280  # of the camera's image [px]
+    height: int = 960  # [px]
+    backend: Backend = CameraConfig().backend  # what renders the camera's frames
+    json: Path | None = None  # where to write what was made: folder, count, seconds
+
+    def folder(self) -> Path:
+        """Return where the scenes are kept."""
+        return self.out or Path("runs") / f"scenes-{Path(self.part).stem}-{self.seed}"
+
+    def config(self) -> "SceneConfig":
+        """Return what a scene depends on."""
+        from binpick_env.scenes.synthesis import SceneConfig
+
+        return SceneConfig(
+            part=self.part,
+            unit=self.unit,
+            seed=self.seed,
+            num_parts=(self.min_parts, self.max_parts),
+            sensor=self.sensor,
+            jitter=self.jitter,
+            camera=CameraConfig(width=self.width, height=self.height, backend=self.backend),
+        )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read the options and write the scenes; return the exit code."""
+    return run(parse(Arguments, "generate-scenes", arguments))
+
+
+def run(args: Arguments) -> int:
+    """Write the scenes; return the exit code."""
+    from binpick_env.cell.settle import SettleError
+    from binpick_env.jobs.process_map import WorkerError
+
+    stopped = f"stopped; finished scenes are kept in {args.folder()}: the same command goes on from there"
+    return exit_code(lambda: _generate(args), (ValueError, OSError, SettleError, WorkerError), stopped)
+
+
+def _generate(args: Arguments) -> str:
+    from tqdm import tqdm
+
+    from binpick_env.scenes.synthesis import generate_scenes
+    from perception.runtime.files import json_text, write_atomically
+    from perception.runtime.provenance import git_commit
+
+    out = args.folder()
+    made = generate_scenes(args.config(), args.count, out, args.workers)
+    with tqdm(made, total=args.count, desc=args.part, unit="scene", smoothing=0.02) as bar:
+        count = sum(1 for _ in bar)
+        took = float(bar.format_dict["elapsed"])
+    if args.json is not None:
+        facts = {"out": str(out), "count": count, "seconds": took, "git_commit": git_commit()}
+        write_atomically(args.json, json_text(facts))
+    return f"{count} scenes in {out}"

@@ -1,0 +1,146 @@
+"""``binpick pick``, the main job: bins are picked, success rates are printed with intervals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from binpick_env.config import Backend, CameraConfig, Perception, SensorPreset
+from binpick_env.parts.unit import Unit
+from policies.commands.command_line import exit_code, parse
+
+if TYPE_CHECKING:
+    from policies.evaluation.config import EvaluationConfig
+    from policies.evaluation.jobs import Job
+    from policies.evaluation.records import BinRecord
+    from policies.grasping.outcomes import PickResult
+    from policies.report.media import BinMedia
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Pick bins of identical parts and print how well it went.
+
+    Every bin is kept as it is finished: the same command again goes on where it was stopped.
+    """
+
+    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
+    unit: Unit | None = None  # of a file's coordinates; metres or millimetres, whichever is plausible, unless given
+    symmetry: Literal["detect", "none"] = "detect"  # of a file's shape; none: every pose counts as its own
+    density: float | None = None  # [kg/m^3]; the catalogue's, or 2700 (aluminium) for a file, unless given
+    bins: int = 10  # how many bins
+    seed: int = 0  # bin i's own seed follows from this and i alone
+    perception: Perception = "learned"  # from pixels; gt_masks: true segments; oracle: true poses of visible parts
+    budget: bool = False  # pick the same bins with all three, whatever --perception says, and compare
+    sensor: SensorPreset = "good"  # the depth camera's noise
+    workers: int = 1  # processes; each computes on one core
+    min_parts: int = 20  # smallest fill of a bin
+    max_parts: int = 30  # largest fill
+    width: int = 1280  # of the camera's image [px]
+    height: int = 960  # [px]
+    backend: Backend = CameraConfig().backend  # what renders the camera's frames
+    hand_eye_mm: float = 0.0  # error of the camera's place, standard deviation per axis, drawn for each bin [mm]
+    noise_mm: float = 0.0  # the oracle's position error, standard deviation per axis [mm]
+    noise_deg: float = 0.0  # the oracle's rotation error, standard deviation [deg]
+    fresh: bool = False  # compute every bin again, those that are there already too
+    out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-) unless given
+    json: Path | None = None  # where to write the numbers; results.json (or budget.json) in the folder unless given
+    html: bool = True  # write report.html into the folder, with a picture of every pick (or budget.html)
+    video: Path | None = None  # film the first bin into this .mp4 (slow without a GL driver; MUJOCO_GL names one)
+    video_limit: float = 60.0  # length of the film in simulated time [s]
+    rerun: Path | None = None  # record the first bin into this .rrd for Rerun's viewer, with all that the robot sees
+
+    def config(self) -> "EvaluationConfig":
+        """Return what the numbers depend on."""
+        from binpick_env.observation.oracle import PoseNoise
+        from policies.evaluation.config import EvaluationConfig
+
+        return EvaluationConfig(
+            part=self.part,
+            unit=self.unit,
+            symmetry=self.symmetry,
+            density=self.density,
+            seed=self.seed,
+            perception=self.perception,
+            sensor=self.sensor,
+            num_parts=(self.min_parts, self.max_parts),
+            camera=CameraConfig(
+                width=self.width, height=self.height, backend=self.backend, hand_eye=self.hand_eye_mm / 1000
+            ),
+            pose_noise=PoseNoise(translation=self.noise_mm / 1000, rotation=radians(self.noise_deg)),
+        )
+
+    def folder(self) -> Path:
+        """Return where the results are kept."""
+        kind = "budget" if self.budget else self.perception
+        return self.out or Path("runs") / f"pick-{Path(self.part).stem}-{kind}-{self.seed}"
+
+    def job(self) -> "Job":
+        """Return how it is done."""
+        from policies.evaluation.jobs import Job
+
+        media = self.media()
+        return Job(out=self.folder(), bins=self.bins, workers=self.workers, fresh=self.fresh, listeners=media)
+
+    def media(self) -> "BinMedia":
+        """Return what is made of the bins beside their records."""
+        from policies.report.media import BinMedia
+
+        return BinMedia(pictures=self.html, video=self.video, video_limit=self.video_limit, recording=self.rerun)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read the options and run the job; return the exit code."""
+    return run(parse(Arguments, "pick", arguments))
+
+
+def run(args: Arguments) -> int:
+    """Run the job; return the exit code."""
+    from policies.evaluation.bin_evaluation import BinError
+
+    kept = f"finished bins are kept in {args.folder()}"
+    stopped = f"stopped; {kept}: the same command goes on from there"
+    return exit_code(lambda: _pick(args), (BinError, ValueError, OSError, ModuleNotFoundError), stopped)
+
+
+def _pick(args: Arguments) -> str:
+    from policies.evaluation.budget import MODES, budget_jobs
+    from policies.evaluation.tables import part_note
+    from policies.report.conclusion import conclude, conclude_budget
+
+    config, job = args.config(), args.job()
+    args.media().check(evaluations=len(MODES) if args.budget else 1)
+    runs = budget_jobs(config, job) if args.budget else {args.perception: (config, job)}
+    parts = [each.check() for each, _ in runs.values()]
+    if Path(parts[0].source).suffix:  # a file, not a name of the catalogue
+        print(part_note(parts[0]))
+    records = {mode: _run(*run) for mode, run in runs.items()}
+    if args.budget:
+        return conclude_budget(records, runs, job, numbers=args.json, html=args.html)
+    return conclude(records[args.perception], config, job, numbers=args.json, html=args.html)
+
+
+def _run(config: "EvaluationConfig", job: "Job") -> "list[BinRecord]":
+    from tqdm import tqdm
+
+    from perception.runtime.provenance import git_commit
+    from policies.evaluation.jobs import run_job
+    from policies.evaluation.tables import found_note
+
+    tally = {"attempts": 0, "delivered": 0}
+    with tqdm(total=job.bins, desc=f"{config.part} {config.perception}", unit="bin", smoothing=0) as bar:
+
+        def on_pick(result: "PickResult") -> None:
+            tally["attempts"] += result.outcome is not None
+            tally["delivered"] += result.delivered
+            bar.set_postfix({"last": str(result.outcome or result.abstention), **tally})
+
+        def on_bin(record: "BinRecord") -> None:
+            bar.set_postfix(last=f"{record.delivered}/{record.parts_total} parts")
+            bar.update()
+
+        def on_found(found: "Sequence[BinRecord]") -> None:
+            tqdm.write(found_note(found, job.bins, git_commit()))
+
+        return run_job(config, job, on_bin, on_pick, on_found=on_found)

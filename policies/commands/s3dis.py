@@ -1,0 +1,177 @@
+"""``binpick s3dis``: the paper's table 1, instance segmentation of the rooms of S3DIS."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from perception.s3dis.choices import BudgetName, Identity, Population, RowName
+from policies.commands.command_line import exit_code, parse
+
+if TYPE_CHECKING:
+    from perception.s3dis.evaluation.subject import Subject
+    from perception.s3dis.training import RowTraining
+
+
+@dataclass(frozen=True, kw_only=True)
+class Synthesize:
+    """Write furnished rooms in the on-disk format of S3DIS, Area_1 to Area_6 in turn; goes on where it was stopped."""
+
+    out: Path  # root of the tree
+    rooms: int = 12  # how many
+    seed: int = 0  # room i follows from this and i alone
+    density: float = 1000.0  # points on a square metre of surface; S3DIS is as dense as some 9000
+    workers: int = 2  # processes; each computes on one core
+
+    def work(self) -> str:
+        """Write the rooms."""
+        from binpick_env.jobs.folder_config import ensure_same_config
+        from perception.s3dis.synthesis.building import SynthesisConfig, synthesize_rooms
+
+        config = SynthesisConfig(seed=self.seed, density=self.density)
+        ensure_same_config(self.out / "synthetic.json", asdict(config), "rooms")
+        list(_bar(synthesize_rooms(config, self.rooms, self.out, _processes(self.workers)), self.rooms))
+        return f"{self.rooms} rooms in {self.out}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepare:
+    """Read the raw tree of S3DIS (Area_*/ROOM/Annotations/*.txt) into one compact file a room.
+
+    The same command again keeps the rooms that are whole and makes the others.
+    """
+
+    raw: Path  # the folder that Area_1 is in, of the aligned version 1.2
+    out: Path  # folder of the rooms
+    workers: int = 2  # processes; each computes on one core
+    json: Path | None = None  # where to write what was made: rooms, points, remarks, seconds
+
+    def work(self) -> str:
+        """Prepare the rooms."""
+        from perception.runtime.files import write_atomically
+        from perception.s3dis.data.prepare import prepare_rooms, summary
+        from perception.s3dis.data.raw_tree import find_raw_rooms
+        from perception.s3dis.data.record import recorded
+
+        rooms = find_raw_rooms(self.raw)
+        bar = _bar(prepare_rooms(rooms, self.out, _processes(self.workers)), len(rooms))
+        made = summary(list(bar))
+        if self.json is not None:
+            write_atomically(self.json, recorded({**made, "seconds": bar.format_dict["elapsed"]}))
+        return "\n".join([*made["remarks"], f"{made['rooms']} rooms of {made['points']} points in {self.out}"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train:
+    """Train a row of Table 1; goes on where it was stopped. Under torchrun, several processes train together."""
+
+    rooms: Path  # folder made by prepare; those of Area 5 are left alone
+    row: RowName = "dgcnn-new-colour"  # of Table 1
+    budget: BudgetName = "paper"  # paper: as it says, for a GPU; small: rows differ in trunk, colour and loss alone
+    steps: int | None = None  # of the training; the paper's 200 epochs unless given
+    seed: int = 0  # of weights and samples
+    batch: int | None = None  # blocks a step; the budget's unless given
+    points: int | None = None  # of a sample of a block; the budget's unless given
+    learning_rate: float | None = None  # the budget's unless given
+    out: Path | None = None  # folder of checkpoint, log and weights; runs/s3dis-ROW-BUDGET-SEED unless given
+    held_out: int = 4  # training rooms kept to choose the grouping's threshold on; without any, the loss says it
+    device: str | None = None  # a GPU if there is one unless given
+    threads: int | None = None  # of the processor; torch's choice unless given
+
+    def config(self) -> "RowTraining":
+        """Return what the training depends on."""
+        from perception.s3dis.training import RowTraining
+
+        return RowTraining(**{field.name: getattr(self, field.name) for field in fields(RowTraining)})
+
+    def work(self) -> str:
+        """Train."""
+        from perception.runtime.threads import use_threads
+        from perception.s3dis.training import train_row
+        from perception.segmentation.training.distributed import processes
+        from perception.segmentation.training.progress import TrainingDisplay
+        from perception.segmentation.training.run import WEIGHTS
+
+        training = self.config()
+        out = training.folder()
+        with processes() as place, use_threads(self.threads), TrainingDisplay(out, False, place.rank == 0) as shown:
+            found = _device()
+            device = self.device or (f"cuda:{place.local_rank}" if found == "cuda" else found)
+            train_row(training, place, device, shown.on_step, shown.on_line)
+        return f"weights   {out / WEIGHTS}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate:
+    """Print AP50 of the twelve categories beside the paper's Table 1."""
+
+    rooms: Path  # folder made by prepare
+    weights: Path | None = None  # of train: what to judge
+    predictions: Identity | None = None  # what to judge instead: what no network can do better
+    areas: tuple[int, ...] | None = None  # to evaluate on; 5 for weights, all for the truth unless given
+    threshold: float | None = None  # of a network's grouping; that of its training unless given
+    population: Population = "room"  # the room's points, each once; or those of all blocks, as SGPN's code counts
+    seed: int = 0  # of the share-out of a block's points among samples
+    workers: int = 2  # processes; each computes on one core
+    json: Path | None = None  # where to write ap50 by category, mean_ap50, ap25, ap
+
+    def config(self) -> "Subject":
+        """Return what is judged."""
+        from perception.s3dis.evaluation.subject import Subject
+
+        return Subject(**{field.name: getattr(self, field.name) for field in fields(Subject)})
+
+    def work(self) -> str:
+        """Evaluate."""
+        from binpick_env.jobs.text_tables import columns
+        from perception.runtime.files import write_atomically
+        from perception.s3dis.data.record import recorded
+        from perception.s3dis.evaluation.published import SOURCE, table_rows
+        from perception.s3dis.scoring import S3disScores, match_rooms
+
+        subject = self.config()
+        paths = subject.paths()
+        run = _processes(self.workers)
+        judged = match_rooms(subject.predict(_device()), paths, run, self.population, self.seed)
+        scores = S3disScores.of(list(_bar(judged, len(paths))))
+        if self.json is not None:
+            write_atomically(self.json, recorded({**asdict(scores), **subject.note(), "rooms": len(paths)}))
+        title = f"{SOURCE}; last row: {len(paths)} rooms of {self.rooms}\n"
+        table = columns(table_rows([(subject.name, scores)]))
+        return "\n".join([title, table, f"\nmean AP25 {100 * scores.ap25:.1f}, mean AP {100 * scores.ap:.1f}"])
+
+
+Arguments = Synthesize | Prepare | Train | Evaluate
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read the options and run a subcommand; return the exit code."""
+    return run(parse(Arguments, "s3dis", arguments))
+
+
+def run(args: Arguments) -> int:
+    """Run a subcommand; return the exit code."""
+    from binpick_env.jobs.process_map import WorkerError
+    from perception.segmentation.training.loop import TrainingError
+
+    stopped = "stopped; finished rooms are kept: the same command goes on from there"
+    return exit_code(args.work, (ValueError, OSError, WorkerError, TrainingError), stopped)
+
+
+def _device() -> str:
+    import torch
+
+    return "cuda" if torch.cuda.is_available() else "cpu"
+
+
+def _processes(workers: int) -> Callable[..., Any]:
+    from binpick_env.jobs.process_map import map_indices
+
+    return partial(map_indices, workers=workers)
+
+
+def _bar(made: Iterable[Any], total: int) -> Any:
+    from tqdm import tqdm
+
+    return tqdm(made, total=total, unit="room", smoothing=0.02)

@@ -1,0 +1,143 @@
+"""``binpick train-segmentation``: a network is trained on labelled scenes, evaluated meanwhile, and installed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from perception.segmentation.training.choices import PresetName
+from policies.commands.command_line import exit_code, parse
+
+if TYPE_CHECKING:
+    from perception.segmentation.training.distributed import Place
+    from perception.segmentation.training.loop import Length
+    from perception.segmentation.training.presets import TrainingConfig
+    from perception.segmentation.training.run import Log
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Train a segmentation network on the scenes of one part, or one network for several.
+
+    The same command again goes on where it was stopped. Under torchrun, several processes train together.
+    """
+
+    part: tuple[str, ...] = ("tee",)  # what the network is for; the names it will be found under
+    scenes: tuple[Path, ...] = ()  # folders of generate_scenes.py; runs/scenes-PART-0 of each part unless given
+    validation: tuple[Path, ...] = ()  # folders only evaluated on; the first scenes of each folder unless given
+    held_out: int = 8  # scenes of each folder kept for validation where no folder is given
+    preset: PresetName = "ours"  # paper: its text to the letter; released: as the code of its lineage does
+    minutes: float | None = None  # length of the training
+    steps: int | None = None  # its length in steps, with which the same seed gives the same weights
+    seed: int = 0  # of weights, samples and augmentation
+    initial: Path | None = None  # weights to start from; random ones unless given
+    batch: int | None = None  # scenes a step; the preset's unless given
+    learning_rate: float | None = None  # the preset's unless given
+    threads: int | None = None  # of the processor; torch's choice unless given
+    device: str | None = None  # a GPU if there is one unless given
+    evaluate_every: float = 10.0  # minutes of training between evaluations
+    out: Path | None = None  # folder of checkpoint, log and weights; runs/segmentation-NAME-PRESET-SEED unless given
+    install: bool | None = None  # copy the weights to where every command finds them first; of preset ours unless said
+    tensorboard: bool = True  # write TensorBoard's events into the folder
+    json: Path | None = None  # where to write the last evaluation
+
+    @property
+    def name(self) -> str:
+        """Name that the weights are kept under."""
+        from perception.segmentation.weights import SHARED
+
+        return Path(self.part[0]).stem if len(self.part) == 1 else SHARED
+
+    def config(self) -> "TrainingConfig":
+        """Return how to train."""
+        from perception.segmentation.training.presets import PRESETS
+
+        given = {"batch": self.batch, "learning_rate": self.learning_rate}
+        chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        return replace(PRESETS[self.preset], seed=self.seed, **chosen)
+
+    def folder(self) -> Path:
+        """Return where the training is kept."""
+        return self.out or Path("runs") / f"segmentation-{self.name}-{self.preset}-{self.seed}"
+
+    def files(self) -> tuple[list[Path], list[Path]]:
+        """Return the scene files to train and to validate on."""
+        from perception.segmentation.training.dataset import split_scenes
+
+        folders = self.scenes or tuple(Path("runs") / f"scenes-{Path(part).stem}-0" for part in self.part)
+        return split_scenes(folders, self.validation, self.held_out)
+
+    def length(self, config: "TrainingConfig", scenes: int, world: int = 1) -> "Length":
+        """Return how long to train: the paper's 200 epochs for its presets where nothing is said."""
+        from perception.segmentation.training.loop import Length
+        from perception.segmentation.training.presets import EPOCHS
+
+        if self.minutes is None and self.steps is None and self.preset != "ours":
+            return Length(steps=EPOCHS * scenes // (config.batch * world))
+        return Length(steps=self.steps, minutes=self.minutes)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read the options and train; return the exit code."""
+    return run(parse(Arguments, "train-segmentation", arguments))
+
+
+def run(args: Arguments) -> int:
+    """Train; return the exit code."""
+    from perception.segmentation.training.loop import TrainingError
+
+    stopped = f"stopped; the same command goes on from {args.folder()}"
+    return exit_code(lambda: _train(args), (ValueError, OSError, TrainingError), stopped)
+
+
+def _train(args: Arguments) -> str | None:
+    import torch
+
+    from perception.segmentation.training.distributed import processes
+
+    if args.threads is not None:
+        torch.set_num_threads(args.threads)
+    with processes() as place:
+        return _train_at(args, place)
+
+
+def _train_at(args: Arguments, place: "Place") -> str | None:
+    import torch
+    from tqdm import tqdm
+
+    from perception.segmentation.training.dataset import BatchMaker, load_packed, scene_sources
+    from perception.segmentation.training.loop import Trainer
+    from perception.segmentation.training.progress import TrainingDisplay
+    from perception.segmentation.training.run import RunConfig, resume, train
+
+    config, out, leader = args.config(), args.folder(), place.rank == 0
+    training, validation = args.files()
+    with tqdm(total=len(training), desc="reading", unit="scene", disable=not leader) as bar:
+        scenes = load_packed(training, bar.update)
+    batches = BatchMaker.of(config, scenes, place.rank)
+    device = args.device or (f"cuda:{place.local_rank}" if torch.cuda.is_available() else "cpu")
+    trainer = Trainer(config, batches, args.length(config, len(scenes), place.world), device)
+    names = tuple(Path(part).stem for part in args.part)
+    sources = {"trained_on": scene_sources(training), "validated_on": scene_sources(validation)}
+    run = RunConfig(
+        sources=sources, out=out, parts=names, initial=args.initial, evaluate_every=args.evaluate_every, leader=leader
+    )
+    if resume(trainer, run) and leader:
+        print(f"goes on from step {trainer.step}, {trainer.elapsed / 60:.1f} minutes")
+    with TrainingDisplay(out, args.tensorboard, leader) as display:
+        last = train(trainer, validation, run, display.on_step, display.on_line)
+    return _deliver(args, out, last) if leader else None
+
+
+def _deliver(args: Arguments, out: Path, last: "Log") -> str:
+    from perception.runtime.files import json_text, write_atomically
+    from perception.segmentation.training.run import LOG, WEIGHTS
+    from perception.segmentation.weights import install_weights
+
+    lines = [f"weights   {out / WEIGHTS}", f"log       {out / LOG}"]
+    if args.preset == "ours" if args.install is None else args.install:
+        path = install_weights(out / WEIGHTS, args.name)
+        lines.append(f"installed {path} (delete it to return to the shipped weights)")
+    if args.json is not None:
+        write_atomically(args.json, json_text(last))
+    return "\n".join(lines)

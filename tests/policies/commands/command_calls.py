@@ -1,0 +1,27 @@
+"""How the tests call commands as a user does, and options that make them quick."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[3]
+TINY = ["--min-parts", "2", "--max-parts", "2", "--width", "640", "--height", "480", "--sensor", "none"]
+TINY += ["--perception", "oracle"]
+
+
+def run(command: str, *arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """Call a command by its script, in a process of its own."""
+    return start([sys.executable, str(script(command)), *arguments], cwd)
+
+
+def script(command: str) -> Path:
+    """Return the script of a command."""
+    return ROOT / "scripts" / f"{command.replace('-', '_')}.py"
+
+
+def start(command: list[str], cwd: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Start a process that finds the packages, and wait for its end."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    environment = os.environ | {"PYTHONPATH": path} | variables
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=600)

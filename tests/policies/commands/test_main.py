@@ -1,0 +1,155 @@
+"""`binpick`: the list of commands, their help, and what it may load."""
+
+import logging
+import sys
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+
+import pytest
+
+from policies.commands import main as entry
+from policies.commands.command_line import exit_code
+from policies.commands.main import main
+from policies.commands.registry import COMMANDS
+from policies.commands.status import StatusHandler
+from policies.selection.choices import HEURISTICS
+from policies.selection.selectors import SELECTORS
+from tests.policies.commands.command_calls import ROOT, run, script, start
+
+HEAVY = ("torch", "mujoco", "numba", "cv2", "trimesh", "scipy", "mink", "stable_baselines3", "tqdm")
+NAMES = [command.name for command in COMMANDS]
+HELP = """
+import sys
+from policies.commands.main import main
+try:
+    code = main(sys.argv[1:])
+except SystemExit as stop:
+    code = stop.code or 0
+loaded = [name for name in {heavy} if name in sys.modules]
+sys.exit(f"loaded {{loaded}}" if loaded else code)
+"""
+
+
+@pytest.fixture(autouse=True)
+def _quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the levels of the packages' loggers, which other tests read."""
+    monkeypatch.setattr(entry, "show_status", lambda: None)
+
+
+def help_of(*arguments: str) -> str:
+    """Return what a command prints for --help; fail where it loads what only its work needs."""
+    done = start([sys.executable, "-c", HELP.format(heavy=HEAVY), *arguments, "--help"], ROOT, COLUMNS="100")
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_is_to_the_point_and_loads_nothing_heavy(name: str) -> None:
+    assert help_of(name).startswith(f"usage: binpick {name} [-h]")
+
+
+@pytest.mark.parametrize(
+    ("command", "subcommands"),
+    [
+        ("bench", ("cell", "segmentation", "pose", "selection")),
+        ("s3dis", ("synthesize", "prepare", "train", "evaluate")),
+        ("train-selector", ("ppo", "bandit")),
+    ],
+)
+def test_subcommands_are_listed(command: str, subcommands: tuple[str, ...]) -> None:
+    text = help_of(command)
+    assert [name for name in subcommands if name not in text] == []
+    assert help_of(command, subcommands[-1]).startswith(f"usage: binpick {command} {subcommands[-1]} [-h]")
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"]])
+def test_without_a_command_all_are_listed_in_groups(
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["binpick", *arguments])
+    assert main() == 0
+    lines = capsys.readouterr().out.splitlines()
+    for command in COMMANDS:
+        assert f"  {command.name:23}{command.summary}" in lines
+        assert command.group in lines
+    assert max(len(line) for line in lines) <= 100
+
+
+def test_the_version_is_the_packages(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(entry, "version", {"binpick": "9.8.7"}.__getitem__)
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == "binpick 9.8.7\n"
+
+    def unknown(name: str) -> str:
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(entry, "version", unknown)
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == "binpick, not installed as a package\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("pik", "did you mean pick? "),
+        ("evaluate_poses", "did you mean evaluate-pose"),
+        ("--parts", ""),
+        ("xyzzy", ""),
+    ],
+)
+def test_an_unknown_command_is_a_mistake(name: str, hint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: there is no command {name!r}; {hint}")
+    assert error.endswith("`binpick` lists them all\n")
+
+
+def test_hyphens_and_underscores_are_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lost = str(tmp_path / "lost")
+    for name, option in (("calibrate-poses", "--folders"), ("calibrate_poses", "--folders")):
+        assert main([name, option, lost]) == 2
+        assert "lost" in capsys.readouterr().err
+    for count in ("--min-parts", "--min_parts"):
+        assert main(["generate-scenes", count, "5", "--max-parts", "4", "--out", lost]) == 2
+        assert "num_parts must be (smallest, largest)" in capsys.readouterr().err
+
+
+def test_an_unknown_option_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["pick", "--teapot"])
+    assert "--teapot" in capsys.readouterr().err
+
+
+def test_every_script_is_a_command() -> None:
+    assert sorted(path.name for path in (ROOT / "scripts").glob("*.py")) == sorted(script(name).name for name in NAMES)
+    assert run("evaluate-pose", "--count", "0", "--perception", "gt_masks").returncode == 2
+
+
+def test_expected_errors_are_one_line_and_others_are_raised(capsys: pytest.CaptureFixture[str]) -> None:
+    def fail(error: BaseException) -> None:
+        raise error
+
+    assert exit_code(lambda: "done", ()) == 0
+    assert capsys.readouterr().out == "done\n"
+    assert exit_code(lambda: fail(OSError("disk full")), (OSError,)) == 2
+    assert capsys.readouterr().err == "error: disk full\n"
+    assert exit_code(lambda: fail(KeyboardInterrupt()), (OSError,), "stopped: go on") == 130
+    assert capsys.readouterr().err == "\nstopped: go on\n"
+    with pytest.raises(ZeroDivisionError):
+        exit_code(lambda: fail(ZeroDivisionError()), (OSError,))
+
+
+def test_what_the_packages_log_is_printed_above_a_progress_bar(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logger = logging.getLogger("policies.commands.test")
+    monkeypatch.setattr(logger, "propagate", False)
+    logger.addHandler(StatusHandler())
+    logger.setLevel(logging.INFO)
+    logger.info("loading %s", "weights")
+    logger.warning("a file is damaged")
+    assert capsys.readouterr().err == "loading weights\nWARNING a file is damaged\n"
+
+
+def test_the_heuristics_that_are_compared_are_all_that_there_are() -> None:
+    assert tuple(SELECTORS) == HEURISTICS

@@ -1,0 +1,158 @@
+import json
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from policies.commands import pick
+from policies.evaluation import jobs
+from policies.evaluation.bin_evaluation import BinError
+from tests.policies.commands.command_calls import TINY, run
+
+
+def test_help_names_every_argument_of_the_contract() -> None:
+    text = run("pick", "--help").stdout
+    for name in ("part", "bins", "seed", "perception", "sensor", "workers", "out", "json", "video", "html", "budget"):
+        assert f"--{name}" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--part", "teapot"], "part must be one of part_a, part_b, part_c, tee, bracket"),
+        (["--part", "nowhere.stl"], "nowhere.stl"),
+        (["--bins", "0"], "bins and workers must be at least 1, got 0 and 1"),
+        (["--video", "film.avi"], "must end in .mp4"),
+        (["--budget", "--video", "film.mp4"], "a budget is three evaluations and films none"),
+        (["--min-parts", "5", "--max-parts", "4"], "num_parts must be a rising pair"),
+    ],
+)
+def test_a_users_mistake_is_one_line_and_exit_code_2(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = pick.main([*arguments, "--out", str(tmp_path)])
+    error = capsys.readouterr().err
+    assert code == 2
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1
+    assert message in error
+
+
+def test_ctrl_c_says_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(jobs, "run_job", interrupted)
+    assert pick.run(pick.Arguments(perception="oracle", out=tmp_path)) == 130
+    assert f"finished bins are kept in {tmp_path}: the same command goes on from there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (BinError("bin 3 (seed 7) failed: SettleError: no rest"), "bin 3 (seed 7) failed: SettleError: no rest"),
+        (BinError("a worker was killed"), "a worker was killed"),
+    ],
+)
+def test_a_bin_that_fails_is_one_line_and_exit_code_2(
+    fault: Exception,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise fault
+
+    monkeypatch.setattr(jobs, "run_job", fail)
+    assert pick.run(pick.Arguments(perception="oracle", out=tmp_path)) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
+    assert message in line
+
+
+@pytest.mark.slow
+def test_pick_runs_resumes_and_refuses_another_configuration(tmp_path: Path) -> None:
+    out, film = tmp_path / "run", tmp_path / "film.mp4"
+    common = [*TINY, "--perception", "learned", "--out", str(out)]
+    done = run("pick", "--bins", "1", "--video", str(film), "--video-limit", "1", *common, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "GSR" in done.stdout
+    assert film.stat().st_size > 1000
+    assert "src='./bin_0000_pick_00.webp'" in (out / "report.html").read_text()
+    assert (out / "bin_0000_pick_00.webp").stat().st_size < 40_000
+    assert json.loads((out / "results.json").read_text())["ap"] > 0.5  # from pixels, of two parts
+    made = (out / "bin_0000.json").stat().st_mtime_ns
+    done = run("pick", "--bins", "2", "--workers", "2", "--json", str(tmp_path / "n.json"), *common, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "1 of 2 bins were there already, made by commit" in done.stdout
+    numbers = json.loads((tmp_path / "n.json").read_text())
+    assert numbers["bins"] == 2
+    assert numbers["parts_total"] == 4
+    assert (out / "bin_0000.json").stat().st_mtime_ns == made
+    done = run("pick", "--bins", "2", "--seed", "1", *common, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--out" in done.stderr
+
+
+def test_a_file_is_said_as_it_was_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trimesh.creation.box((60, 40, 30)).export(tmp_path / "block.stl")
+
+    def stop(*_: object, **__: object) -> None:
+        raise BinError("far enough")
+
+    monkeypatch.setattr(jobs, "run_job", stop)
+    file = ["--part", str(tmp_path / "block.stl"), "--out", str(tmp_path / "out"), "--perception", "oracle"]
+    for arguments, said in (
+        ([], "block.stl: read as mm, d_max 78 mm, symmetry order 4, 2700 kg/m^3"),
+        (["--symmetry", "none", "--density", "1240"], "block.stl: read as mm, d_max 78 mm, symmetry order 1, 1240 kg/"),
+    ):
+        assert pick.main([*file, *arguments]) == 2
+        assert said in capsys.readouterr().out
+    assert pick.main([*file, "--unit", "inch"]) == 2
+    assert "--unit" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_budget_picks_the_same_bins_three_ways(tmp_path: Path) -> None:
+    arguments = ["--budget", "--bins", "2", "--workers", "2", "--no-html", *TINY, "--out", str(tmp_path / "out")]
+    done = run("pick", *arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "segmentation (gt_masks - learned)" in done.stdout
+    numbers = json.loads((tmp_path / "out" / "budget.json").read_text())
+    assert set(numbers["costs"]) == {"pose", "segmentation", "both"}
+    for mode in ("oracle", "gt_masks", "learned"):
+        records = [json.loads((tmp_path / "out" / mode / f"bin_000{k}.json").read_text()) for k in range(2)]
+        assert [record["parts_total"] for record in records] == [2, 2]
+        assert (records[0]["frames"][0]["segments"] is None) == (mode == "oracle")
+        assert numbers["modes"][mode]["config"]["perception"] == mode
+    made = (tmp_path / "out" / "gt_masks" / "bin_0001.json").stat().st_mtime_ns
+    assert "2 of 2 bins were there already" in run("pick", *arguments, cwd=tmp_path).stdout
+    assert (tmp_path / "out" / "gt_masks" / "bin_0001.json").stat().st_mtime_ns == made
+
+
+def test_a_part_without_weights_gets_the_commands_that_make_them_and_the_other_modes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
+    trimesh.creation.box((60, 40, 30)).export(tmp_path / "block.stl")
+    arguments = ["--part", str(tmp_path / "block.stl"), "--perception", "learned", "--out", str(tmp_path / "out")]
+    assert pick.main(arguments) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    for told in ("scripts/generate_scenes.py", "scripts/train_segmentation.py", "'gt_masks'", "'oracle'"):
+        assert told in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_part_file_is_picked(tmp_path: Path) -> None:
+    trimesh.creation.box((0.05, 0.03, 0.02)).export(tmp_path / "block.stl")
+    arguments = ["--part", str(tmp_path / "block.stl"), "--unit", "m", "--bins", "1", "--density", "1000"]
+    done = run("pick", *arguments, *TINY, "--out", str(tmp_path / "out"), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "block.stl: read as m, d_max 62 mm, symmetry order 4, 1000 kg/m^3" in done.stdout
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["config"]["density"] == 1000.0
