@@ -78,7 +78,7 @@ def surface_gaps(T, points, normals, visible, depth, K, radius):
     gaps = np.full(len(points), np.nan)
     height, width = depth.shape
     for m, (p, n) in enumerate(zip(*posed(T, points, normals), strict=True)):
-        if not visible[m]:
+        if not visible[m] or p[2] <= 1e-3:
             continue
         u0, v0 = pixel_of(K, p)
         if not (0 <= u0 < width and 0 <= v0 < height):

@@ -1,7 +1,7 @@
 """Compiled kernels of voting: arrays in, arrays out, no threads and no fast maths (same arrays, same bits).
 
-Angles round a tangent are whole numbers: a turn is 2**16 units for the scene and 2**8 for the table, so that votes are
-integers and do not depend on the order in which they are cast.
+Angles about a tangent are integers: a full turn is 2**16 units in the scene and 2**8 in the table. Votes are integers,
+so that they do not depend on the order in which they are cast.
 """
 
 import math
@@ -19,8 +19,8 @@ def _cast(
     votes: Votes, entries: NDArray[np.uint32], start: int, stop: int, weight: int, turn: int, sign: int, bins: int
 ) -> None:
     """Add ``weight`` to (row, flip, bin) of the entries from ``start`` to ``stop``; ``votes`` is flat."""
-    # Unsigned throughout: a signed index would cost a test for a negative one. The part's turn is ``turn - angle``, or
-    # ``turn + angle`` for sign 1, modulo 2**16, where -x is (x ^ 65535) + 1.
+    # All numbers are unsigned, because a signed index would be tested for a negative value. The part's rotation is
+    # ``turn - angle``, or ``turn + angle`` for sign 1, modulo 2**16, where -x is (x ^ 65535) + 1.
     flip, width, eight = np.uint64(sign), np.uint64(bins), np.uint64(8)
     invert, first = np.uint64(0 if sign else 65535), np.uint64(turn + (0 if sign else 1))
     for e in range(start, stop):
@@ -44,20 +44,20 @@ def accumulate(
 ) -> None:
     """Add the votes of all pairs (r, i) to ``votes``.
 
-    A pair looks up every cell within the noise (at most two along each axis), and both signs of a tangent that is
-    square to ``d`` within half an angle step; no cell twice for one sign. Without ``grid.flips`` all votes are cast
-    with sign 0, and no cell is looked up twice.
+    A pair reads every cell within the noise, at most two along each axis. It reads both signs of a tangent that is
+    perpendicular to ``d`` within half an angle step. It reads no cell twice for one sign. Without ``grid.flips`` all
+    votes have sign 0, and no cell is read twice.
 
     Args:
-        votes: (2 R, B) votes for row, flip and turn, changed in place.
-        points: (N, 3) scene.
-        tangents: (N, 3) unit.
-        frame: (3, 3) of the reference's tangent.
-        r: The reference.
-        offsets: (C + 1,) where each cell's entries begin.
-        entries: As made by :func:`model_pairs`, without the cell.
-        weights: (C,) what an entry of the cell counts.
-        grid: Cells.
+        votes: (2 R, B) votes for each row, flip and bin of the rotation; changed in place.
+        points: (N, 3) points of the scene, camera frame [m].
+        tangents: (N, 3) unit tangents of these points.
+        frame: (3, 3) rotation that maps the reference's tangent to x.
+        r: Index of the reference.
+        offsets: (C + 1,) index of each cell's first entry.
+        entries: (E,) table entries of :func:`model_pairs` without the cell.
+        weights: (C,) weight of the entries of each cell.
+        grid: Cells of the pair feature.
     """
     farthest = grid.distances * grid.distance_step
     straight, square = math.cos(grid.collinear), math.sin(grid.angle_step / 2) if grid.folded else 0.0
@@ -67,6 +67,7 @@ def accumulate(
         length, cos_r, cos_i, between, angle = pair_feature(points, tangents, frame, r, i, grid.nearest, farthest)
         if length == 0.0 or abs(cos_r) > straight:
             continue
+        # Ranges of cells along each feature; that between the tangents depends on whether one of them is flipped.
         low1, high1 = cells_of(length, per_metre, grid.distance_noise, grid.distances)
         angle_r = math.acos(abs(cos_r) if grid.folded else cos_r)
         angle_i = math.acos(abs(cos_i) if grid.folded else cos_i)
@@ -76,6 +77,7 @@ def accumulate(
         like = cells_of(f4, per_radian, grid.angle_noise, grid.half_turns)
         unlike = cells_of(math.pi - f4, per_radian, grid.angle_noise, grid.half_turns)
         turn = math.floor(angle * (65536 / (2 * math.pi))) & 65535
+        # Cast the votes of the sign that the tangent has, and those of the other one if it is nearly perpendicular.
         for sign in range(2):
             if sign != (1 if cos_r < 0 else 0) and (abs(cos_r) >= square or not grid.flips):
                 continue
@@ -84,6 +86,7 @@ def accumulate(
             if abs(cos_i) >= square and (abs(cos_r) >= square or grid.flips):
                 second = (1, 0)
             flip = sign if grid.flips else 0
+            # All cells in range; along the last feature both ranges, without what they have in common.
             for f1 in range(low1, high1 + 1):
                 for f2 in range(low2, high2 + 1):
                     for f3 in range(low3, high3 + 1):
@@ -99,7 +102,7 @@ def accumulate(
 
 @njit(cache=True, nogil=True)
 def _smooth(votes: Votes, k: int, b: int) -> int:
-    """Return four times the votes round bin ``b``, a bin's neighbours counting half; the bins form a circle."""
+    """Return four times the smoothed votes of bin ``b``; its neighbours on the circle of bins count half."""
     bins = votes.shape[1]
     before = votes[k, b - 1 if b > 0 else bins - 1]
     after = votes[k, b + 1 if b + 1 < bins else 0]
@@ -110,7 +113,7 @@ def _smooth(votes: Votes, k: int, b: int) -> int:
 def _pose(
     votes: Votes, k: int, b: int, point: Floats, frame: Floats, model_points: Floats, model_frames: Floats, T: Floats
 ) -> None:
-    """Write to ``T`` the pose of peak (k, b), its turn interpolated between neighbouring bins."""
+    """Write to ``T`` the pose of peak (k, b); its rotation is interpolated between neighbouring bins."""
     bins = votes.shape[1]
     before = float(votes[k, b - 1 if b > 0 else bins - 1])
     after = float(votes[k, b + 1 if b + 1 < bins else 0])
@@ -133,7 +136,7 @@ def _pose(
 
 @njit(cache=True, nogil=True)
 def _differ(T_a: Floats, T_b: Floats, centre: Floats, distance: float, cosine: float) -> bool:
-    """Tell whether two poses are more than ``distance`` apart at ``centre`` or turned by more than acos(cosine)."""
+    """Return whether two poses differ by more than ``distance`` at ``centre`` or by more than acos(cosine)."""
     square, trace = 0.0, 0.0
     for i in range(3):
         offset = T_a[i, 3] - T_b[i, 3]
@@ -159,19 +162,21 @@ def _find_peaks(
     T: Floats,
     score: Ints,
 ) -> None:
-    """Write to ``T`` (2, 4, 4) and ``score`` (2,) the best peak and the best of the others.
+    """Write the best peak and the second best to ``T`` (2, 4, 4) and ``score`` (2,).
 
-    Ties go to the lowest row, flip and bin. The second must have ``share`` of the best's votes and a different pose;
-    else its score is 0.
+    Of equal peaks the one of the lowest row, flip and bin is taken. The second peak must have ``share`` of the votes of
+    the best one and a different pose; otherwise its score is 0.
     """
+    # The highest bin of each row.
     for k in range(len(votes)):
         top = np.int32(0)
         for b in range(votes.shape[1]):
             top = max(top, votes[k, b])
         highest[k] = top
+    # The best peak.
     best_k, best_b = 0, 0
     for k in range(len(votes)):
-        # Smoothed votes are at most four times the row's highest: most rows need no smoothing.
+        # Smoothed votes are at most four times the highest bin of a row: most rows need no smoothing.
         if 4 * int(highest[k]) > score[0]:
             for b in range(votes.shape[1]):
                 here = _smooth(votes, k, b)
@@ -180,6 +185,7 @@ def _find_peaks(
     if score[0] == 0:
         return
     _pose(votes, best_k, best_b, point, frame, model_points, model_frames, T[0])
+    # The second peak, among those whose pose differs.
     other = np.empty((4, 4))
     for k in range(len(votes)):
         if 4 * int(highest[k]) < share * score[0]:
@@ -213,9 +219,24 @@ def vote_references(
 ) -> tuple[Floats, Ints]:
     """Return the (Q, 2, 4, 4) poses of the two best peaks of each reference and their (Q, 2) votes, 0 for no peak.
 
-    Votes are smoothed sums of weights (four times a bin's votes). See :func:`accumulate` for the arguments;
-    ``model_points`` (R, 3) and ``model_frames`` (R, 3, 3) belong to the accumulator's rows, ``share``, ``distance``
-    [m] and ``cosine`` decide on second peaks, with poses compared at ``centre`` (3,).
+    Votes are smoothed sums of weights, four times those of a bin.
+
+    Args:
+        points: (N, 3) points of the scene, camera frame [m].
+        tangents: (N, 3) unit tangents of these points.
+        frames: (N, 3, 3) rotation that maps each tangent to x.
+        references: (Q,) indices of the reference points.
+        offsets: (C + 1,) index of each cell's first entry.
+        entries: (E,) table entries of :func:`model_pairs` without the cell.
+        weights: (C,) weight of the entries of each cell.
+        grid: Cells of the pair feature.
+        bins: Number B of bins of the rotation about the tangent.
+        model_points: (R, 3) model point of each accumulator row, part frame [m].
+        model_frames: (R, 3, 3) rotation that maps the tangent of each row's point to x.
+        centre: (3,) point of the part at which poses are compared, part frame [m].
+        share: Least share of the best peak's votes that a second peak must have.
+        distance: Distance at the centre above which poses differ [m].
+        cosine: Cosine of the angle above which poses differ.
     """
     T = np.zeros((len(references), 2, 4, 4))
     score = np.zeros((len(references), 2), np.int64)

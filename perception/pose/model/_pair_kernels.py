@@ -1,6 +1,6 @@
 """Compiled kernels of point pair features: arrays in, arrays out, no threads and no fast maths.
 
-Angles round a tangent are whole numbers: a turn is 2**8 units for the table.
+Angles about a tangent are integers: a full turn is 2**8 units in the table.
 """
 
 import math
@@ -17,10 +17,20 @@ Votes = NDArray[np.int32]
 
 
 class FeatureGrid(NamedTuple):
-    """Cells of the pair feature in absolute units: lengths [m], angles [rad], and the number of cells per axis.
+    """Cells of the pair feature in absolute units.
 
-    ``folded``: tangents are turned towards d, so that their inclinations to it end at a right angle. ``flips``: the
-    table keeps the sign that the reference's tangent needed, else 0; it takes folded features.
+    Attributes:
+        distance_step: Width of a cell along the distance of the two points [m].
+        angle_step: Width of a cell along each angle [rad].
+        distance_noise: Error of a distance that a look-up allows for [m].
+        angle_noise: Error of an angle that a look-up allows for [rad].
+        nearest: Smallest distance of a pair [m].
+        collinear: Smallest angle between d and the reference's tangent [rad].
+        distances: Number of cells along the distance.
+        inclinations: Number of cells along the angle between d and a tangent.
+        half_turns: Number of cells along the angle between the tangents.
+        folded: Whether tangents are turned towards d, so that their angles to it are at most a right angle.
+        flips: Whether the table stores if the reference's tangent was turned; needs ``folded``.
     """
 
     distance_step: float
@@ -38,9 +48,10 @@ class FeatureGrid(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def tangent_frames(tangents: Floats) -> Floats:
-    """Return (N, 3, 3) rotations that map each unit tangent to x; the turn about x is arbitrary but fixed."""
+    """Return (N, 3, 3) rotations that map each unit tangent to x; the rotation about x is arbitrary but fixed."""
     frames = np.empty((len(tangents), 3, 3))
     for n in range(len(tangents)):
+        # x is the tangent, y is perpendicular to it and to the axis it is least along, and z completes the frame.
         t = tangents[n]
         k = np.argmin(np.abs(t))
         a, b = (k + 1) % 3, (k + 2) % 3
@@ -58,7 +69,7 @@ def tangent_frames(tangents: Floats) -> Floats:
 def pair_feature(
     points: Floats, tangents: Floats, frame: Floats, r: int, i: int, nearest: float, farthest: float
 ) -> tuple[float, float, float, float, float]:
-    """Return (|d|, cos(t_r, d), cos(t_i, d), cos(t_r, t_i), angle of d round t_r); |d| = 0 where it is out of range."""
+    """Return (|d|, cos(t_r, d), cos(t_i, d), cos(t_r, t_i), angle of d about t_r); |d| is 0 if out of range."""
     x, y, z = points[i, 0] - points[r, 0], points[i, 1] - points[r, 1], points[i, 2] - points[r, 2]
     square = x * x + y * y + z * z
     if square <= nearest * nearest or square >= farthest * farthest:
@@ -75,12 +86,13 @@ def pair_feature(
 
 @njit(cache=True, nogil=True)
 def cell_of(value: float, density: float, count: int) -> int:
+    """Return the cell of a value that is not negative; ``density`` is cells per unit of the value."""
     return min(int(value * density), count - 1)
 
 
 @njit(cache=True, nogil=True)
 def cells_of(value: float, density: float, noise: float, count: int) -> tuple[int, int]:
-    """Return the first and the last cell that ``value`` may belong to if it is wrong by up to ``noise``."""
+    """Return the first and the last cell that a value with an error of up to ``noise`` may belong to."""
     return cell_of(max(value - noise, 0.0), density, count), cell_of(value + noise, density, count)
 
 
@@ -90,17 +102,17 @@ def model_pairs(
 ) -> Ints:
     """Return one number per admissible ordered pair: ``cell << 32 | row << 9 | sign << 8 | angle``.
 
-    The angle is that of ``d`` in the reference's frame, negated where the sign bit is set (t_r.d < 0): with that the
-    turn of the part is ``a_scene - angle`` for a scene pair of positive sign and ``a_scene + angle`` otherwise,
-    whether the tangent is flipped or not. Without ``grid.flips`` no sign bit is set.
+    The angle is that of ``d`` in the reference's frame, negated where the sign bit is set (t_r.d < 0). So the part's
+    rotation about the tangent is ``a_scene - angle`` for a scene pair of positive sign and ``a_scene + angle``
+    otherwise, whether the tangent is flipped or not. Without ``grid.flips`` no sign bit is set.
 
     Args:
-        points: (M, 3).
-        tangents: (M, 3) unit.
-        frames: (M, 3, 3) to which each reference's pairs are turned.
+        points: (M, 3) edge points, part frame [m].
+        tangents: (M, 3) unit tangents of the edges.
+        frames: (M, 3, 3) rotation in which the pairs of each reference are seen.
         rows: (M,) accumulator row of each reference.
-        visibility: (M,) bit masks; pairs without a common bit are left out.
-        grid: Cells.
+        visibility: (M,) bit mask of the views that see each point; pairs without a common bit are left out.
+        grid: Cells of the pair feature.
     """
     out = np.empty(len(points) * len(points), np.int64)
     count = 0
@@ -116,11 +128,13 @@ def model_pairs(
             )
             if length == 0.0 or abs(cos_r) > straight:
                 continue
+            # Cells of the four features; folding takes both tangents along d.
             f1 = cell_of(length, per_metre, grid.distances)
             f2 = cell_of(math.acos(abs(cos_r) if grid.folded else cos_r), per_radian, grid.inclinations)
             f3 = cell_of(math.acos(abs(cos_i) if grid.folded else cos_i), per_radian, grid.inclinations)
             opposed = grid.folded and (cos_r < 0) != (cos_i < 0)
             f4 = cell_of(math.acos(-between if opposed else between), per_radian, grid.half_turns)
+            # The angle of d about the tangent, in 256ths of a full turn.
             sign = 1 if grid.flips and cos_r < 0 else 0
             angle = math.floor((-turn if sign else turn) * (256 / (2 * math.pi))) & 255
             cell = ((f1 * grid.inclinations + f2) * grid.inclinations + f3) * grid.half_turns + f4

@@ -8,45 +8,47 @@ from numba import njit
 from perception.geometry import Floats
 from perception.pose.model._pair_kernels import Ints
 
-_MOST_CELLS = float(1 << 20)  # from the origin, along each axis: what lies farther shares the outermost cell
+_MOST_CELLS = float(1 << 20)  # from the origin along each axis; points farther away share the outermost cell
 
 
 @njit(cache=True, nogil=True)
 def _cell(value: float, density: float) -> int:
-    """Return the cell of a coordinate; a larger coordinate never has a smaller cell."""
+    """Return the cell of a coordinate, which never falls as the coordinate rises."""
     return int(min(max(math.floor(value * density), -_MOST_CELLS), _MOST_CELLS))
 
 
 @njit(cache=True, nogil=True)
 def _bucket(x: int, y: int, z: int, mask: int) -> int:
+    """Return the hash of a cell."""
     # The primes of Teschner et al., "Optimized Spatial Hashing for Collision Detection", VMV 2003.
     return ((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & mask
 
 
 @njit(cache=True, nogil=True)
 def keep_first(points: Floats, tangents: Floats, radius: float, cosine: float) -> Ints:
-    """Return the ascending indices of the points that have no earlier kept one like them.
+    """Return the ascending indices of the points that are not like an earlier kept point.
 
-    One is like another if it lies within ``radius`` and their tangents' ``|dot| >= cosine``. Kept points hang in lists
-    by a hash of their cell; a ball reaches into two cells along each axis at most. Cells that share a list cost time,
-    not correctness.
+    Two points are alike if they lie within ``radius`` and ``|dot| >= cosine`` holds for their tangents. Kept points are
+    in linked lists by a hash of their cell. A ball of the radius reaches into at most two cells along each axis. Cells
+    that share a list cost time, not correctness.
 
     Args:
-        points: (N, 3) finite.
-        tangents: (N, 3) unit.
-        radius: Positive.
-        cosine: Of the largest angle.
+        points: (N, 3) finite points [m].
+        tangents: (N, 3) unit tangents.
+        radius: Largest distance of points that are alike, positive [m].
+        cosine: Cosine of the largest angle between the tangents of points that are alike.
     """
     mask = 255
     while mask < len(points):
         mask = 2 * mask + 1
-    latest = np.full(mask + 1, -1, np.int32)  # kept point of a list ...
-    before = np.empty(len(points), np.int32)  # ... and the one after it, down to -1
+    latest = np.full(mask + 1, -1, np.int32)  # kept point at the head of each list
+    before = np.empty(len(points), np.int32)  # next point in the list of each kept point, -1 at the end
     kept = np.empty(len(points), np.int64)
     count = 0
-    # A difference that rounds to the radius may be a little larger.
+    # The reach is a little larger than the radius, because a difference may be rounded down to it.
     reach, density = radius * (1 + 1e-9), 0.4 / radius
     for i in range(len(points)):
+        # Look for a kept point like this one in all cells within reach.
         x, y, z = points[i]
         alone = True
         for a in range(_cell(x - reach, density), _cell(x + reach, density) + 1):
@@ -65,6 +67,7 @@ def keep_first(points: Floats, tangents: Floats, radius: float, cosine: float) -
                     break
             if not alone:
                 break
+        # Keep the point, at the head of its cell's list.
         if alone:
             bucket = _bucket(_cell(x, density), _cell(y, density), _cell(z, density), mask)
             before[i], latest[bucket] = latest[bucket], i

@@ -22,13 +22,12 @@ def surface_distances(
     limit: float,
     sideways: float,
 ) -> Floats:
-    """Return (N,) distance [m] of each boundary point from the visible samples of one pose; infinite beyond ``limit``.
+    """Return (N,) distance of each boundary point from the visible samples of one pose [m]; infinite beyond ``limit``.
 
-    It is the least of ``sqrt(off^2 + (sideways * aside)^2)`` over the samples: ``off`` is the distance from the
-    sample's tangent plane and ``aside`` the one along it.
-
-    T is ``T_cam_part`` and only ``visible`` samples count. The boundary points are sorted by cell, as described at
-    :func:`perception.pose.verification._refine_kernels.match_edges`; ``sideways`` is in (0, 1].
+    The distance is the minimum of ``sqrt(off^2 + (sideways * aside)^2)`` over the visible samples. ``off`` is the
+    distance from the sample's tangent plane, ``aside`` the distance along it, and ``sideways`` is in (0, 1]. T is
+    ``T_cam_part``. The boundary points are sorted by cell, as described at
+    :func:`perception.pose.verification._refine_kernels.match_edges`.
     """
     rows, columns = shape
     out = np.full(len(boundary), np.inf)
@@ -36,11 +35,12 @@ def surface_distances(
     for m in range(len(points)):
         if not visible[m]:
             continue
+        # The sample and its normal in the camera frame.
         x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
         a, b, c = rotate(T, normals[m, 0], normals[m, 1], normals[m, 2])
         if z <= NEAR + reach:
             continue
-        # The ball of radius reach, seen from the camera, lies inside this rectangle.
+        # The rectangle of cells that the camera sees a ball of radius reach in.
         u, v = x / z, y / z
         half_u, half_v = reach * (1.0 + abs(u)) / (z - reach), reach * (1.0 + abs(v)) / (z - reach)
         left = max(np.floor((u - half_u - origin[0]) / cell), 0.0)
@@ -49,12 +49,14 @@ def surface_distances(
         bottom = min(np.floor((v + half_v - origin[1]) / cell), rows - 1.0)
         if left > right or top > bottom:
             continue
+        # Lower the squared distances of the points in these cells.
         for row in range(int(top), int(bottom) + 1):
             for k in range(starts[row * columns + int(left)], starts[row * columns + int(right) + 1]):
                 dx, dy, dz = boundary[k, 0] - x, boundary[k, 1] - y, boundary[k, 2] - z
                 off = a * dx + b * dy + c * dz
                 aside = max(dx * dx + dy * dy + dz * dz - off * off, 0.0)
                 out[k] = min(out[k], off * off + sideways * sideways * aside)
+    # From squares to distances, infinite beyond the limit.
     for k in range(len(out)):
         out[k] = np.sqrt(out[k]) if out[k] <= limit * limit else np.inf
     return out

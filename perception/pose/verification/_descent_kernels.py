@@ -1,6 +1,7 @@
-"""Gauss-Newton on SE(3), compiled whole: a step is too short for the interpreter to be asked each time.
+"""Compiled Gauss-Newton iterations on SE(3); a step is too short to return to the interpreter after each one.
 
-Poses are (4, 4) ``T_cam_part``. A motion (6,) is a turn vector about the part's centre times ``arm``, and a shift [m].
+Poses are (4, 4) ``T_cam_part``. A motion (6,) is a rotation vector about the part's centre times ``arm``, and a
+translation [m].
 """
 
 import numpy as np
@@ -11,18 +12,19 @@ from perception.geometry import Floats
 from perception.pose._transform_kernels import Singles, apply
 from perception.pose.verification._refine_kernels import line_equations, match_edges, plane_equations
 
-MIN_MATCHES = 6  # one for each of the six freedoms
-SETTLED = 2e-3  # of d_max; the length of a last step up to which a refinement counts as converged
+MIN_MATCHES = 6  # one for each degree of freedom
+SETTLED = 2e-3  # share of d_max; a refinement has converged if its last step is shorter
 
 
 @njit(cache=True, nogil=True)
 def gauss_newton_step(hessian: Floats, gradient: Floats, damping: float, observable: float) -> Floats:
-    """Return the damped step (6,) within the freedoms that the matches tell."""
+    """Return the damped step (6,) along the observable eigenvectors of the (6, 6) Hessian, and 0 along the others."""
     values, vectors = np.linalg.eigh(hessian)
     motion = np.zeros(6)
     for k in range(6):
-        if values[k] <= max(observable, 1e-12):  # rounding alone gives a freedom that is none more than 0
+        if values[k] <= max(observable, 1e-12):  # rounding alone makes an unobservable one larger than 0
             continue
+        # The component of the gradient along eigenvector k, divided by the damped eigenvalue.
         along = 0.0
         for i in range(6):
             along += vectors[i, k] * gradient[i]
@@ -33,15 +35,16 @@ def gauss_newton_step(hessian: Floats, gradient: Floats, damping: float, observa
 
 @njit(cache=True, nogil=True)
 def moved(T: Floats, motion: Floats, pivot: Floats, arm: float) -> Floats:
-    """Return a pose after a motion: a turn about ``pivot`` (camera frame), then a shift."""
+    """Return a pose after a motion: a rotation about ``pivot`` (camera frame), then a translation."""
     a, b, c = motion[0] / arm, motion[1] / arm, motion[2] / arm
     square = a * a + b * b + c * c
     angle = np.sqrt(square)
-    # Rodrigues' formula; its two factors by their series where the angle is small.
+    # Rodrigues' formula; both factors by their series where the angle is small.
     first = 1.0 - square / 6 if angle < 1e-4 else np.sin(angle) / angle
     second = 0.5 - square / 24 if angle < 1e-4 else (1.0 - np.cos(angle)) / square
     cross = np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
     rotation = np.eye(3) + first * cross + second * (cross @ cross)
+    # rotation @ R, and pivot + rotation @ (t - pivot) + translation.
     out = np.zeros((4, 4))
     out[3, 3] = 1.0
     for i in range(3):
@@ -73,15 +76,16 @@ def descend_edges(
     observable: float,
     still: float,
 ) -> tuple[Floats, int, bool, float, int]:
-    """Take point-to-line steps.
+    """Minimise point-to-line distances.
 
     Returns:
-        The pose; the number of steps; whether the last one was short; the sum of squares [m^2] and the number of the
+        The pose; the number of steps; whether the last step was short; the sum of squares [m^2] and the number of the
         matches in this pose.
     """
     pivot, length = np.zeros(3), np.inf
     steps, settled = 0, False
     while True:
+        # Matches and normal equations in the present pose.
         matches = match_edges(
             T, points, tangents, boundary, boundary_tangents, starts, shape, origin, cell, gate, min_cosine
         )
@@ -91,12 +95,13 @@ def descend_edges(
         )
         if settled or steps == iterations or count < MIN_MATCHES:
             break
+        # One step; its length is that of the motion as a share of d_max.
         motion = gauss_newton_step(hessian / count, gradient / count, damping, observable)
         T = moved(T, motion, pivot, d_max / 2)
         length = np.sqrt(np.sum(motion**2)) / d_max
         steps += 1
         settled = length < still
-    # Matches may swap for ever between two samples of one edge: a step far below the gate is no movement.
+    # Matches may alternate for ever between two samples of one edge, so that a step far below the gate is accepted.
     return T, steps, count >= MIN_MATCHES and length < SETTLED, total, count
 
 
@@ -118,16 +123,18 @@ def descend_surface(
     observable: float,
     still: float,
 ) -> tuple[Floats, int, bool, float, int]:
-    """Take point-to-plane steps; returns are those of :func:`descend_edges`."""
+    """Minimise point-to-plane distances; the returned values are those of :func:`descend_edges`."""
     pivot, length = np.zeros(3), np.inf
     steps, settled = 0, False
     while True:
+        # Matches and normal equations in the present pose.
         pivot[0], pivot[1], pivot[2] = apply(T, centre[0], centre[1], centre[2])
         hessian, gradient, total, count = plane_equations(
             T, points, normals, visible, depth, K, gate, min_cosine, reach, pivot, d_max / 2
         )
         if settled or steps == iterations or count < MIN_MATCHES:
             break
+        # One step; its length is that of the motion as a share of d_max.
         motion = gauss_newton_step(hessian / count, gradient / count, damping, observable)
         T = moved(T, motion, pivot, d_max / 2)
         length = np.sqrt(np.sum(motion**2)) / d_max

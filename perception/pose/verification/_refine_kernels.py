@@ -1,8 +1,8 @@
 """Compiled kernels of refinement and verification: arrays in, arrays out, no threads and no fast maths.
 
-Images are (H, W), indexed [v, u]; depth is 0 where there is no measurement. Poses are (4, 4) ``T_cam_part``; M model
-points are in the part frame and N boundary points in the camera's. A normal equation is that of a motion (turn, shift)
-of six lengths [m]: a turn vector about ``centre`` times ``arm``, and a shift.
+Images are (H, W), indexed [v, u]; depth is 0 where there is no measurement. Poses are (4, 4) ``T_cam_part``. M model
+points are in the part frame and N boundary points in the camera frame. Normal equations are those of a motion of six
+lengths [m]: a rotation vector about ``centre`` times ``arm``, and a translation.
 """
 
 import numpy as np
@@ -27,19 +27,20 @@ def match_edges(
     gate: float,
     min_cosine: float,
 ) -> Ints:
-    """Return (M,) index of the nearest boundary point of like tangent within ``gate`` of each posed point, or -1.
+    """Return (M,) index of the nearest boundary point of like tangent within ``gate`` [m] of each model point, or -1.
 
-    The boundary points are sorted by the cell of ``(x / z, y / z)`` they fall in; those of cell (r, c) are
-    ``starts[r * columns + c]`` up to the next one's start. The first in this order decides a tie.
+    The boundary points are sorted by square cells of ``(x / z, y / z)``. Those of cell (r, c) begin at
+    ``starts[r * columns + c]`` and end where the next cell begins. Of equally near points the first one is the match.
     """
     rows, columns = shape
     out = np.full(len(points), -1, np.int64)
     for m in range(len(points)):
+        # The model point and its tangent in the camera frame.
         x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
         a, b, c = rotate(T, tangents[m, 0], tangents[m, 1], tangents[m, 2])
         if z <= NEAR + gate:
             continue
-        # The ball of radius gate, seen from the camera, lies inside this rectangle.
+        # The rectangle of cells that the camera sees a ball of radius gate in.
         u, v = x / z, y / z
         half_u, half_v = gate * (1.0 + abs(u)) / (z - gate), gate * (1.0 + abs(v)) / (z - gate)
         left = max(np.floor((u - half_u - origin[0]) / cell), 0.0)
@@ -48,6 +49,7 @@ def match_edges(
         bottom = min(np.floor((v + half_v - origin[1]) / cell), rows - 1.0)
         if left > right or top > bottom:
             continue
+        # The nearest point of like tangent in these cells; those of one row lie one after the other.
         nearest = gate * gate
         for row in range(int(top), int(bottom) + 1):
             for k in range(starts[row * columns + int(left)], starts[row * columns + int(right) + 1]):
@@ -65,9 +67,10 @@ def match_edges(
 def line_equations(
     T: Floats, points: Floats, matches: Ints, boundary: Floats, boundary_tangents: Floats, centre: Floats, arm: float
 ) -> tuple[Floats, Floats, float, int]:
-    """Return the normal equations (6, 6), (6,) of point-to-line distances, their sum of squares, and the count.
+    """Return the normal equations (6, 6), (6,) of point-to-line distances, their sum of squares [m^2], and the count.
 
-    ``e = (I - t t^T)(R p + t - q)``; a motion changes the posed point by ``turn x (p - centre) / arm + shift``.
+    The residual of a match is ``e = (I - t t^T)(R p + t - q)``, with the tangent t of the boundary point q. A motion
+    moves the posed point p by ``rotation x (p - centre) / arm + translation``.
     """
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
     jacobian, residual, direction = np.zeros((3, 6)), np.zeros(3), np.zeros(3)
@@ -76,6 +79,7 @@ def line_equations(
         k = matches[m]
         if k < 0:
             continue
+        # Offset from the matched boundary point, and the Jacobian [skew(p - centre)^T / arm, I] of the posed point.
         x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
         residual[0], residual[1], residual[2] = x - boundary[k, 0], y - boundary[k, 1], z - boundary[k, 2]
         rx, ry, rz = (x - centre[0]) / arm, (y - centre[1]) / arm, (z - centre[2]) / arm
@@ -86,6 +90,7 @@ def line_equations(
         for i in range(3):
             jacobian[i, 3 + i] = 1.0
             direction[i] = boundary_tangents[k, i]
+        # Project both onto the plane perpendicular to the tangent.
         along = direction[0] * residual[0] + direction[1] * residual[1] + direction[2] * residual[2]
         for i in range(3):
             residual[i] -= along * direction[i]
@@ -94,6 +99,7 @@ def line_equations(
             along = direction[0] * jacobian[0, j] + direction[1] * jacobian[1, j] + direction[2] * jacobian[2, j]
             for i in range(3):
                 jacobian[i, j] -= along * direction[i]
+        # Add J^T e and J^T J.
         for i in range(6):
             for r in range(3):
                 gradient[i] += jacobian[r, i] * residual[r]
@@ -107,10 +113,11 @@ def line_equations(
 def surface_gaps(
     T: Floats, points: Floats, normals: Floats, visible: NDArray[np.bool_], depth: Singles, K: Floats, radius: int
 ) -> Floats:
-    """Return (M,) signed distances [m] of what was measured behind (+) or before (-) the samples' tangent planes.
+    """Return (M,) signed distances [m] of the measured surface behind (+) or before (-) the samples' tangent planes.
 
-    Of the measured points in a window of ``radius`` pixels about a sample the one nearest to its plane counts: an
-    outline may be a pixel off. NaN where a sample is not visible, outside the image, or nothing was measured.
+    Of the measured points in a window of ``radius`` pixels about a sample the one nearest to its plane counts, because
+    an outline may be a pixel off. The distance is NaN where a sample is not visible, not before the camera or outside
+    the image, or where nothing was measured.
     """
     height, width = depth.shape
     out = np.full(len(points), np.nan)
@@ -118,12 +125,16 @@ def surface_gaps(
         if not visible[m]:
             continue
         x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
+        if z <= NEAR:
+            continue
         a, b, c = rotate(T, normals[m, 0], normals[m, 1], normals[m, 2])
+        # The sample's pixel, rounded by truncation of u + 1/2, and the window about it.
         u0, v0 = K[0, 0] * x / z + K[0, 2] + 0.5, K[1, 1] * y / z + K[1, 2] + 0.5
         if not (0 <= u0 < width and 0 <= v0 < height):
             continue
         top, bottom = max(int(v0) - radius, 0), min(int(v0) + radius, height - 1)
         left, right = max(int(u0) - radius, 0), min(int(u0) + radius, width - 1)
+        # The measured point nearest to the sample's tangent plane.
         best = np.inf
         for v in range(top, bottom + 1):
             for u in range(left, right + 1):
@@ -141,7 +152,7 @@ def surface_gaps(
 
 @njit(cache=True, nogil=True)
 def measured_normal(depth: Singles, K: Floats, u: int, v: int, reach: int) -> tuple[float, float, float]:
-    """Return the normal (towards the camera) of the organised cloud at a pixel by central differences.
+    """Return the normal towards the camera of the measured surface at a pixel, by central differences.
 
     It is (0, 0, 0) where one of the four pixels ``reach`` away is outside the image or without depth.
     """
@@ -152,10 +163,12 @@ def measured_normal(depth: Singles, K: Floats, u: int, v: int, reach: int) -> tu
     north, south = float(depth[v - reach, u]), float(depth[v + reach, u])
     if west <= 0 or east <= 0 or north <= 0 or south <= 0:
         return 0.0, 0.0, 0.0
+    # a is the difference of the points to the east and the west, b that of the points to the south and the north.
     x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
     du, dv = reach / K[0, 0], reach / K[1, 1]
     ax, ay, az = east * (x + du) - west * (x - du), (east - west) * y, east - west
     bx, by, bz = (south - north) * x, south * (y + dv) - north * (y - dv), south - north
+    # b x a points towards the camera.
     nx, ny, nz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
     return nx / length, ny / length, nz / length
@@ -175,10 +188,10 @@ def plane_equations(
     centre: Floats,
     arm: float,
 ) -> tuple[Floats, Floats, float, int]:
-    """Return the normal equations (6, 6), (6,) of point-to-plane distances, their sum of squares, and the count.
+    """Return the normal equations (6, 6), (6,) of point-to-plane distances, their sum of squares [m^2], and the count.
 
-    A sample meets the measured point of the pixel it projects to, if their normals agree and the distance along the
-    sample's own normal is under ``gate``; Tukey's weight ``(1 - (e / gate)^2)^2`` lets far ones count less.
+    A sample is matched with the measured point of the pixel it projects to, if their normals agree and the distance
+    along the sample's own normal is less than ``gate`` [m]. Distances e have Tukey's weight ``(1 - (e / gate)^2)^2``.
     """
     height, width = depth.shape
     hessian, gradient, row = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
@@ -189,6 +202,7 @@ def plane_equations(
         x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
         if z <= NEAR:
             continue
+        # The measured point of the pixel that the sample projects to.
         uf, vf = K[0, 0] * x / z + K[0, 2] + 0.5, K[1, 1] * y / z + K[1, 2] + 0.5
         if not (0 <= uf < width and 0 <= vf < height):
             continue
@@ -196,6 +210,7 @@ def plane_equations(
         zq = float(depth[v, u])
         if zq <= 0.0:
             continue
+        # The residual along the sample's normal, rejected by distance or by the measured normal.
         a, b, c = rotate(T, normals[m, 0], normals[m, 1], normals[m, 2])
         xq, yq = zq * (u - K[0, 2]) / K[0, 0], zq * (v - K[1, 2]) / K[1, 1]
         residual = a * (x - xq) + b * (y - yq) + c * (z - zq)
@@ -204,6 +219,7 @@ def plane_equations(
         nx, ny, nz = measured_normal(depth, K, u, v, reach)
         if a * nx + b * ny + c * nz < min_cosine:
             continue
+        # The row [(p - centre) / arm x n, n] of the Jacobian, weighted.
         rx, ry, rz = (x - centre[0]) / arm, (y - centre[1]) / arm, (z - centre[2]) / arm
         row[0], row[1], row[2] = ry * c - rz * b, rz * a - rx * c, rx * b - ry * a
         row[3], row[4], row[5] = a, b, c

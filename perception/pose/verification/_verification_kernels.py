@@ -25,6 +25,7 @@ def occluded_points(
     for m in range(len(points)):
         if matches[m] >= 0:
             continue
+        # Nothing is known of a point that is not before the camera or not in the image.
         x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
         out[m] = True
         if z <= NEAR:
@@ -32,6 +33,7 @@ def occluded_points(
         u, v = K[0, 0] * x / z + K[0, 2] + 0.5, K[1, 1] * y / z + K[1, 2] + 0.5
         if not (0 <= u < width and 0 <= v < height):
             continue
+        # Pixels without a measurement have depth 0, so that a window without any occludes the point.
         farthest = 0.0
         for row in range(max(int(v) - radius, 0), min(int(v) + radius, height - 1) + 1):
             for column in range(max(int(u) - radius, 0), min(int(u) + radius, width - 1) + 1):
@@ -51,10 +53,12 @@ def explained_points(
     min_cosine: float,
 ) -> NDArray[np.bool_]:
     """Return (N,) whether each boundary point has a posed model point of like tangent within ``gate`` [m]."""
+    # Model points and tangents in the camera frame.
     posed = np.empty((len(points), 6))
     for m in range(len(points)):
         posed[m, 0], posed[m, 1], posed[m, 2] = apply(T, points[m, 0], points[m, 1], points[m, 2])
         posed[m, 3], posed[m, 4], posed[m, 5] = rotate(T, tangents[m, 0], tangents[m, 1], tangents[m, 2])
+    # The first near point of like tangent is enough.
     out = np.zeros(len(boundary), np.bool_)
     for n in range(len(boundary)):
         x, y, z = boundary[n, 0], boundary[n, 1], boundary[n, 2]
@@ -70,6 +74,7 @@ def explained_points(
 @njit(cache=True, nogil=True)
 def near_points(T: Floats, points: Floats, visible: NDArray[np.bool_], boundary: Floats, gate: float) -> Ints:
     """Return the ascending indices of the boundary points within ``gate`` [m] of a visible posed surface sample."""
+    # Visible samples in the camera frame.
     posed = np.empty((len(points), 3))
     count = 0
     for m in range(len(points)):
@@ -80,6 +85,7 @@ def near_points(T: Floats, points: Floats, visible: NDArray[np.bool_], boundary:
     found = 0
     if count == 0:
         return out[:0]
+    # Points outside the samples' bounding box are skipped; of the others one near sample is enough.
     low = [posed[:count, k].min() - gate for k in range(3)]
     high = [posed[:count, k].max() + gate for k in range(3)]
     for n in range(len(boundary)):

@@ -132,6 +132,12 @@ def test_expected_points_are_the_pixels_of_the_longest_outline() -> None:
     assert box.expected_points(at.K, 0.5) > 1.1 * perimeter  # over a corner it shows nine edges
 
 
+def test_expected_points_are_those_of_the_horizontal_focal_length(ell: EdgeAppearances) -> None:
+    K = np.array([[1200.0, 0.0, 90.0], [0.0, 900.0, 140.0], [0.0, 0.0, 1.0]])
+    assert ell.expected_points(K, 0.5) == round(ell.lengths.max() * 1200.0 / 0.5)
+    assert ell.expected_points(K[:, [1, 0, 2]][[1, 0, 2]], 0.5) == round(ell.lengths.max() * 900.0 / 0.5)
+
+
 def test_expected_points_fall_with_the_distance(ell: EdgeAppearances) -> None:
     near, far = ell.expected_points(at.K, 0.25), ell.expected_points(at.K, 1.0)
     assert near == pytest.approx(4 * far, abs=2)

@@ -273,6 +273,16 @@ def test_surface_gaps_are_those_of_the_twin(radius: int) -> None:
         assert not np.isnan(found).all()
 
 
+def test_a_sample_that_is_not_before_the_camera_has_no_gap() -> None:
+    """Called visible, it would be projected through a depth of 0 or from behind the camera."""
+    points = np.array([[0.01, 0.02, z] for z in (0.0, 0.001, -0.4, 0.4)])
+    normals = np.tile([0.0, 0.0, -1.0], (4, 1))
+    arguments = np.eye(4), points, normals, np.ones(4, bool), FLOOR.depth, K, 1
+    found = kernels.surface_gaps(*arguments)
+    np.testing.assert_allclose(found, [np.nan, np.nan, np.nan, at.FLOOR - 0.4], rtol=1e-6)
+    np.testing.assert_allclose(found, twin.surface_gaps(*arguments), rtol=1e-7)
+
+
 def test_a_gap_is_positive_where_the_camera_saw_through() -> None:
     visible = SURFACE.visible(FROM_ABOVE)
     for height, sign in ((0.01, 1.0), (-0.01, -1.0)):
