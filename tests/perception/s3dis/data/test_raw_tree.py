@@ -1,5 +1,6 @@
 """The folder tree: what is a room, what is a member, and what is neither."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,12 +69,18 @@ def test_the_known_fault_is_mended_by_its_place_in_the_tree(tmp_path: Path) -> N
         find_raw_rooms(other)[0].read()
 
 
-def test_the_digest_is_of_names_and_sizes(tmp_path: Path) -> None:
-    tree = write_tree(tmp_path, {"Area_1/office_1/chair_1": LINES})
-    before = find_raw_rooms(tree)[0].digest()
+def test_the_digest_covers_names_categories_and_sizes(tmp_path: Path) -> None:
+    tree = write_tree(tmp_path / "a", {"Area_1/office_1/chair_1": LINES})
+    (raw,) = find_raw_rooms(tree)
+    before = raw.digest()
     assert find_raw_rooms(tree)[0].digest() == before
-    write_tree(tmp_path, {"Area_1/office_1/chair_1": LINES + THREE})
+    write_tree(tree, {"Area_1/office_1/chair_1": LINES + THREE})
     assert find_raw_rooms(tree)[0].digest() != before
+    for other in ("chair_2", "table_1"):  # of the same size
+        (renamed,) = find_raw_rooms(write_tree(tmp_path / other, {f"Area_1/office_1/{other}": LINES}))
+        assert renamed.sizes == raw.sizes
+        assert renamed.digest() != before
+    assert replace(raw, categories=(CATEGORIES.index("table"),)).digest() != before
 
 
 @pytest.mark.parametrize(
