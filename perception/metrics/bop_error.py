@@ -5,6 +5,7 @@ Source: Hodan et al., "BOP Challenge 2020 on 6D Object Localization", ECCVW 2020
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,18 @@ from perception.part import PartModel, Symmetry
 VSD_DELTA = 0.015  # [m] BOP's tolerance of visibility
 SHARES = tuple(round(0.05 * k, 2) for k in range(1, 11))  # BOP's tau and theta: 5 to 50 % of the diameter
 STEPS = 360  # angles tried about an axis of revolution
+
+
+@dataclass(frozen=True, kw_only=True)
+class VsdTolerances:
+    """Tolerances of the visible surface discrepancy; BOP's by default."""
+
+    taus: tuple[float, ...] = SHARES  # T tolerances of the distance along a ray, as shares of the part's diameter
+    delta: float = VSD_DELTA  # distance behind the measured surface up to which a pixel still shows the part [m]
+
+    def __post_init__(self) -> None:
+        if not (all(tau > 0 for tau in self.taus) and self.delta >= 0):
+            raise ValueError(f"taus must be positive and delta 0 or more, got {self.taus} and {self.delta}")
 
 
 def mssd(T_est: Floats, T_true: Floats, part: PartModel, *, steps: int = STEPS) -> float:
@@ -81,9 +94,7 @@ def vsd(
     depth_scene: NDArray[np.floating],
     K: Floats,
     d_max: float,
-    *,
-    taus: Sequence[float] = SHARES,
-    delta: float = VSD_DELTA,
+    tolerances: VsdTolerances = VsdTolerances(),
 ) -> Floats:
     """Return the (T,) visible surface discrepancy in [0, 1], one for each tolerance.
 
@@ -97,17 +108,13 @@ def vsd(
         depth_scene: (H, W) measured depth; 0 or NaN where there is none.
         K: (3, 3) of the camera [px].
         d_max: Diameter of the part [m].
-        taus: T tolerances as shares of ``d_max``.
-        delta: Tolerance of visibility [m].
+        tolerances: Tolerances of distance and visibility; BOP's unless given.
 
     Raises:
-        ValueError: The images are not (H, W) alike, K is not (3, 3), ``d_max`` or a tolerance is not positive, or
-            ``delta`` is negative.
+        ValueError: The images are not (H, W) alike, K is not (3, 3), or ``d_max`` is not positive.
     """
     require_shape("K", K, (3, 3))
     require_diameter(d_max)
-    if not (all(tau > 0 for tau in taus) and delta >= 0):
-        raise ValueError(f"taus must be positive and delta 0 or more, got {tuple(taus)} and {delta}")
     require_shape("depth_est", depth_est, (None, None))
     stretch = _ray_lengths(K, depth_est.shape)
     distances = []
@@ -115,6 +122,7 @@ def vsd(
         require_shape(name, depth, depth_est.shape)
         distances.append(np.where(depth > 0, depth, 0.0).astype(np.float64) * stretch)
     est, true, scene = distances
+    taus, delta = tolerances.taus, tolerances.delta
 
     shows_true = (true > 0) & ((true <= scene + delta) | (scene == 0))
     shows_est = (est > 0) & ((est <= scene + delta) | (scene == 0) | shows_true)

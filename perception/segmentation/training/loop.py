@@ -15,7 +15,13 @@ from perception.segmentation.networks.grid_net import GridNet
 from perception.segmentation.networks.output import PointOutputs
 from perception.segmentation.networks.precision import half_precision
 from perception.segmentation.training.dataset import Batch, BatchSource
-from perception.segmentation.training.losses import confidence_loss, offset_loss, pair_loss, semantic_loss
+from perception.segmentation.training.losses import (
+    PointAttributes,
+    confidence_loss,
+    offset_loss,
+    pair_loss,
+    semantic_loss,
+)
 from perception.segmentation.training.presets import TrainingConfig
 from perception.segmentation.weights import Network, build_network
 
@@ -188,9 +194,8 @@ class Trainer:
             ids,
             config.pairs,
             config.alpha(self.epoch),
+            attributes=PointAttributes(batch.class_ids_BN, batch.points_BN3),
             generator=chance,
-            class_ids_BN=batch.class_ids_BN,
-            points_BN3=batch.points_BN3,
         )
         terms = {
             "pairs": (1.0, pairs),

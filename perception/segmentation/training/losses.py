@@ -16,6 +16,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from perception.segmentation.networks.distance import SQUARE_SCALE, Distance, squared_threshold
+from perception.segmentation.training.anchors import draw_anchors, group_sizes
 
 Kind = Literal["double_hinge", "focal_double_hinge"]
 Weighting = Literal["none", "inverse_frequency"]
@@ -86,15 +87,26 @@ class AlphaSchedule:
         return min(self.limit, self.start + self.step * rises)
 
 
+class PointAttributes(NamedTuple):
+    """What the pair loss knows of the points besides their instances.
+
+    Attributes:
+        class_ids_BN: Class of each point, -1 for unknown, which is left out like void; None for a single class.
+        points_BN3: Coordinates of the points in the unit of ``PairLossConfig.reach``, which needs them.
+    """
+
+    class_ids_BN: Tensor | None = None
+    points_BN3: Tensor | None = None
+
+
 def pair_loss(
     embedding_BNF: Tensor,
     instance_ids_BN: Tensor,
     config: PairLossConfig,
     alpha: float,
     *,
+    attributes: PointAttributes | None = None,
     generator: torch.Generator | None = None,
-    class_ids_BN: Tensor | None = None,
-    points_BN3: Tensor | None = None,
 ) -> Tensor:
     """Return L_SIM, eq. (1) or (2) of the paper, as a mean over the ordered pairs of points (i, i included).
 
@@ -102,13 +114,12 @@ def pair_loss(
     counted per cloud instead of per batch, where instances of different clouds share their numbers.
 
     Args:
-        embedding_BNF: F_SIM; any floating type, half precisions are computed in float32.
-        instance_ids_BN: -1 for void.
+        embedding_BNF: Embedding F_SIM in any floating type; half precisions are computed in float32.
+        instance_ids_BN: Instance of each point, -1 for void.
         config: Equation and constants.
         alpha: Weight of pairs of two instances of a class.
-        generator: Draws the anchors; None for torch's own.
-        class_ids_BN: -1 for unknown, which is left out like void; None for a single class.
-        points_BN3: Needed with ``config.reach``, and in its unit.
+        attributes: Classes and coordinates of the points; None for a single class.
+        generator: Source of the anchors' draws; None for torch's own.
 
     Returns:
         A scalar. With anchors its expectation, and its gradient's, over the draws are those of all pairs.
@@ -120,6 +131,7 @@ def pair_loss(
         Anchors x N pairs, taken in blocks, so that all pairs need no more memory. No second derivatives.
     """
     ids_BN = _require_inputs(embedding_BNF, instance_ids_BN)
+    class_ids_BN, points_BN3 = attributes or PointAttributes()
     if not alpha > 0:
         raise ValueError(f"alpha must be positive, got {alpha}")
     if config.reach is not None and points_BN3 is None:
@@ -130,9 +142,9 @@ def pair_loss(
         ids_BN = ids_BN.masked_fill(class_ids_BN < 0, -1)
     weight_BN = (ids_BN >= 0).double()
     count_B1 = weight_BN.sum(1, keepdim=True)
-    anchors_BA, anchor_weight_BA = _draw_anchors(ids_BN, config.anchors, generator)
+    anchors_BA, anchor_weight_BA = draw_anchors(ids_BN, config.anchors, generator)
     if config.weighting == "inverse_frequency":
-        weight_BN *= count_B1 / _group_sizes(ids_BN)
+        weight_BN *= count_B1 / group_sizes(ids_BN)
     row_BA = anchor_weight_BA * weight_BN.gather(1, anchors_BA) * _per_cloud(count_B1) / count_B1.clamp_min(1)
     pairs = _Pairs(anchors_BA, row_BA, weight_BN, ids_BN, class_ids_BN, points_BN3)
     with torch.autocast(embedding_BNF.device.type, enabled=False):  # it would round products of float32 to bfloat16
@@ -169,7 +181,7 @@ def confidence_loss(
     if not threshold > 0:
         raise ValueError(f"threshold must be positive, got {threshold}")
     limit = squared_threshold(threshold, config.distance)
-    anchors_BA, weight_BA = _draw_anchors(ids_BN, config.anchors, generator)
+    anchors_BA, weight_BA = draw_anchors(ids_BN, config.anchors, generator)
     iou_BA = _proposal_iou(embedding_BNF.detach(), ids_BN, anchors_BA, limit)
     confidence_BA = _exact(confidence_BN).gather(1, anchors_BA)
     weight_BA = weight_BA * _per_cloud((ids_BN >= 0).sum(1, keepdim=True))
@@ -293,7 +305,7 @@ def _case_terms(square_BRN: Tensor, cases: _Cases, config: PairLossConfig, alpha
 
 def _proposal_iou(embedding_BNF: Tensor, ids_BN: Tensor, anchors_BA: Tensor, limit: float) -> Tensor:
     """Return (B, A) IoU between the points within ``limit`` (squared) of each anchor and the anchor's instance."""
-    exact_BNF, valid_BN, sizes_BN = embedding_BNF.double(), ids_BN >= 0, _group_sizes(ids_BN).double()
+    exact_BNF, valid_BN, sizes_BN = embedding_BNF.double(), ids_BN >= 0, group_sizes(ids_BN).double()
     iou_BA = exact_BNF.new_zeros(anchors_BA.shape)
     for rows in _blocks(anchors_BA, ids_BN.shape[1]):
         index_BR = anchors_BA[:, rows]
@@ -303,51 +315,6 @@ def _proposal_iou(embedding_BNF: Tensor, ids_BN: Tensor, anchors_BA: Tensor, lim
         shared_BR = same_BRN.logical_and_(near_BRN).sum(2)
         iou_BA[:, rows] = shared_BR / (proposed_BR + sizes_BN.gather(1, index_BR) - shared_BR)
     return iou_BA
-
-
-def _draw_anchors(ids_BN: Tensor, anchors: int | None, generator: torch.Generator | None) -> tuple[Tensor, Tensor]:
-    """Return (B, A) indices and weights; sums over the weighted anchors expect the sums over a cloud's points.
-
-    A systematic sample of the points in the order of their instances and at random within one: it is stratified, and
-    every point's chance is exactly its probability. The weight is one over that, 0 for a place that is left over.
-    """
-    clouds, points = ids_BN.shape
-    if anchors is None:
-        return torch.arange(points, device=ids_BN.device).expand(clouds, -1), (ids_BN >= 0).double()
-    device = ids_BN.device if generator is None else generator.device
-    drawn = torch.rand((clouds, points + 1), dtype=torch.float64, generator=generator, device=device).to(ids_BN.device)
-    order_BN = torch.where(ids_BN >= 0, ids_BN + drawn[:, 1:], torch.inf).argsort(1)
-    return _systematic(_anchor_probability(ids_BN, anchors), order_BN, drawn[:, :1], min(anchors, points))
-
-
-def _anchor_probability(ids_BN: Tensor, anchors: int) -> Tensor:
-    """Return each point's chance of being an anchor: one expected per instance, the rest in proportion to size.
-
-    With fewer anchors than instances all instances have the same chance, with fewer points than anchors each is one.
-    """
-    valid_BN, sizes_BN = ids_BN >= 0, _group_sizes(ids_BN).double()
-    count_B1 = valid_BN.sum(1, keepdim=True)
-    groups_B1 = (valid_BN / sizes_BN).sum(1, keepdim=True).round()
-    drawn_B1 = count_B1.clamp_max(anchors).double()
-    first_B1 = (drawn_B1 / groups_B1.clamp_min(1)).clamp_max(1)
-    rest_BN = (drawn_B1 - groups_B1).clamp_min(0) * (sizes_BN - 1) / (count_B1 - groups_B1).clamp_min(1)
-    return valid_BN * (first_B1 + rest_BN) / sizes_BN
-
-
-def _systematic(probability_BN: Tensor, order_BN: Tensor, start_B1: Tensor, places: int) -> tuple[Tensor, Tensor]:
-    """Return (B, A) indices and weights of the points whose stretch of summed probability holds one of start + k."""
-    bounds_BN = probability_BN.gather(1, order_BN).cumsum(1)
-    marks_BA = start_B1 + torch.arange(places, device=order_BN.device)
-    position_BA = torch.searchsorted(bounds_BN, marks_BA, right=True)
-    found_BA = position_BA < order_BN.shape[1]
-    index_BA = order_BN.gather(1, position_BA.clamp_max(order_BN.shape[1] - 1))
-    return index_BA, torch.where(found_BA, 1 / probability_BN.gather(1, index_BA), 0.0)
-
-
-def _group_sizes(ids_BN: Tensor) -> Tensor:
-    """Return for each point how many points of its cloud have its id."""
-    sorted_BN, ids_BN = ids_BN.sort(1).values, ids_BN.contiguous()
-    return torch.searchsorted(sorted_BN, ids_BN, right=True) - torch.searchsorted(sorted_BN, ids_BN)
 
 
 def _squared_distances(anchor_BRC: Tensor, points_BNC: Tensor) -> Tensor:

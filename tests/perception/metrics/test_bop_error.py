@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception.geometry import make_transform, rotation_about
-from perception.metrics.bop_error import SHARES, average_recall, mspd, mssd, vsd
+from perception.metrics.bop_error import SHARES, VsdTolerances, average_recall, mspd, mssd, vsd
 from perception.part import PartModel, Symmetry
 from tests.perception.pose import posed_parts as at
 from tests.perception.pose.posed_parts import PARTS, K, X, Z
@@ -136,7 +136,7 @@ def test_vsd_by_hand() -> None:
 
 def test_vsd_is_strict_at_the_tolerance() -> None:
     one, quarter = row(1.0), row(1.25)
-    assert vsd(quarter, one, row(0.0), FAR_CAMERA, 1.0, taus=(0.25, 0.26)).tolist() == [1.0, 0.0]
+    assert vsd(quarter, one, row(0.0), FAR_CAMERA, 1.0, VsdTolerances(taus=(0.25, 0.26))).tolist() == [1.0, 0.0]
 
 
 def test_vsd_sees_through_holes_but_not_through_what_lies_in_front() -> None:
@@ -145,7 +145,7 @@ def test_vsd_sees_through_holes_but_not_through_what_lies_in_front() -> None:
     est = row(1.0, 1.0, 1.0, 0.0, 0.0)
     # The third pixel is 20 mm behind the scene: hidden in both. Of the other three the estimate lacks one.
     assert vsd(est, true, scene, FAR_CAMERA, 1.0) == pytest.approx(np.full(10, 1 / 3))
-    assert vsd(est, true, scene, FAR_CAMERA, 1.0, delta=0.03) == pytest.approx(np.full(10, 1 / 4))
+    assert vsd(est, true, scene, FAR_CAMERA, 1.0, VsdTolerances(delta=0.03)) == pytest.approx(np.full(10, 1 / 4))
 
 
 def test_vsd_lets_the_estimate_lie_behind_the_part_itself() -> None:
@@ -157,7 +157,7 @@ def test_vsd_lets_the_estimate_lie_behind_the_part_itself() -> None:
 
 def test_vsd_measures_along_the_ray() -> None:
     K45 = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # the only pixel looks 45 degrees aside
-    errors = vsd(row(1.01), row(1.0), row(0.0), K45, 1.0, taus=(0.013, 0.015))
+    errors = vsd(row(1.01), row(1.0), row(0.0), K45, 1.0, VsdTolerances(taus=(0.013, 0.015)))
     assert errors.tolist() == [1.0, 0.0]
     behind = vsd(row(1.0), row(1.0), row(0.988), K45, 1.0)  # 17 mm along the ray: hidden
     assert behind == pytest.approx(np.ones(10))
@@ -218,9 +218,9 @@ def test_vsd_refuses_nonsense() -> None:
     with pytest.raises(ValueError, match=r"d_max must be positive, got -1"):
         vsd(one, one, one, K, -1.0)
     with pytest.raises(ValueError, match=r"taus must be positive and delta 0 or more, got \(0.0,\) and 0.015"):
-        vsd(one, one, one, K, 1.0, taus=(0.0,))
+        vsd(one, one, one, K, 1.0, VsdTolerances(taus=(0.0,)))
     with pytest.raises(ValueError, match=r"taus must be positive and delta 0 or more, got .* and -1"):
-        vsd(one, one, one, K, 1.0, delta=-1.0)
+        vsd(one, one, one, K, 1.0, VsdTolerances(delta=-1.0))
     with pytest.raises(ValueError, match=r"depth_est must be \(N, N\), got \(1,\)"):
         vsd(one[0], one, one, K, 1.0)
     with pytest.raises(ValueError, match=r"depth_true must be \(1, 1\), got \(1, 2\)"):

@@ -19,7 +19,7 @@ from perception.s3dis.training import RowTraining, judge_thresholds, train_row
 from perception.segmentation.networks.sgpn import SgpnConfig
 from perception.segmentation.training.checkpoint import load_checkpoint, save_checkpoint
 from perception.segmentation.training.loop import Length, Trainer, to_device
-from perception.segmentation.training.losses import PairLossConfig, pair_loss
+from perception.segmentation.training.losses import PairLossConfig, PointAttributes, pair_loss
 from perception.segmentation.training.run import CHECKPOINT, WEIGHTS
 from perception.segmentation.weights import load_network, load_record
 from tests.perception.s3dis.s3dis_tree import boxes_room, told_by_colour_room
@@ -102,7 +102,7 @@ def test_the_third_cases_gradient_is_the_twins_difference_quotient(kind: str, di
     assert (lengths[:6, :6] > margin).any()
     assert ((lengths[:6, :6] < margin).sum() > 6).all()
     free = embedding.clone().requires_grad_()
-    pair_loss(free, ids, config, 2.0, class_ids_BN=classes).backward()
+    pair_loss(free, ids, config, 2.0, attributes=PointAttributes(classes)).backward()
     step = 1e-6 * reach
     for point in range(7):
         for axis in range(3):

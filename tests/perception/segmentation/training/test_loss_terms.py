@@ -10,6 +10,7 @@ import torch
 from perception.segmentation.training.losses import (
     AlphaSchedule,
     PairLossConfig,
+    PointAttributes,
     confidence_loss,
     offset_loss,
     pair_loss,
@@ -159,8 +160,14 @@ IDS = torch.zeros(2, 5, dtype=torch.int64)
         (lambda: pair_loss(E, IDS[:1], ALL, 2.0), "instance_ids_BN must be (2, 5), got (1, 5)"),
         (lambda: pair_loss(E, IDS, ALL, 0.0), "alpha must be positive, got 0.0"),
         (lambda: pair_loss(E, IDS, replace(ALL, reach=1.0), 2.0), "reach=1.0 needs points_BN3, got None"),
-        (lambda: pair_loss(E, IDS, ALL, 2.0, class_ids_BN=IDS[:, :2]), "class_ids_BN must be (2, 5), got (2, 2)"),
-        (lambda: pair_loss(E, IDS, ALL, 2.0, points_BN3=E[..., :2]), "points_BN3 must be (2, 5, 3), got (2, 5, 2)"),
+        (
+            lambda: pair_loss(E, IDS, ALL, 2.0, attributes=PointAttributes(IDS[:, :2])),
+            "class_ids_BN must be (2, 5), got (2, 2)",
+        ),
+        (
+            lambda: pair_loss(E, IDS, ALL, 2.0, attributes=PointAttributes(points_BN3=E[..., :2])),
+            "points_BN3 must be (2, 5, 3), got (2, 5, 2)",
+        ),
         (lambda: confidence_loss(E, E, IDS, ALL), "confidence_BN must be (2, 5), got (2, 5, 3)"),
         (lambda: confidence_loss(E[..., 0], E, IDS, ALL, threshold=0.0), "threshold must be positive, got 0.0"),
         (lambda: semantic_loss(E[:1], IDS), "semantics_BNS must be (2, 5, 3), got (1, 5, 3)"),

@@ -11,9 +11,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.segmentation.training import losses
+from perception.segmentation.training import anchors as anchor_draws
+from perception.segmentation.training import losses as losses_module
 from perception.segmentation.training.losses import (
     PairLossConfig,
+    PointAttributes,
     confidence_loss,
     offset_loss,
     pair_loss,
@@ -48,13 +50,15 @@ from tests.perception.segmentation.training.loss_cases import (
 )
 def test_four_points_by_hand(kind, distance, line, by_hand):
     config = PairLossConfig(kind=kind, distance=distance, anchors=None)
-    value = pair_loss(on_a_line(*line), LINE_IDS, config, 3.0, class_ids_BN=LINE_CLASSES)
+    value = pair_loss(on_a_line(*line), LINE_IDS, config, 3.0, attributes=PointAttributes(LINE_CLASSES))
     assert value.item() == pytest.approx(by_hand, rel=1e-12)
 
 
 def test_gradient_of_four_points_by_hand():
     # By x0: pair 01 pulls with -beta, 02 pushes with +alpha, 03 with +1, each twice of 16; and so on.
-    _, gradient = value_and_gradient(on_a_line(0, 7, 9, 50), LINE_IDS, ALL, 3.0, class_ids_BN=LINE_CLASSES)
+    _, gradient = value_and_gradient(
+        on_a_line(0, 7, 9, 50), LINE_IDS, ALL, 3.0, attributes=PointAttributes(LINE_CLASSES)
+    )
     by_hand = torch.tensor([-2 + 3 + 1, 2 + 3 + 1, -3 - 3 + 1, -1 - 1 - 1]) * 2 / 16
     torch.testing.assert_close(gradient.flatten(), by_hand.double(), rtol=1e-12, atol=0)
 
@@ -66,7 +70,8 @@ def test_single_class_is_the_default():
 
 
 def test_points_of_two_classes_are_case_3_even_in_one_instance():
-    value = pair_loss(on_a_line(0, 30), torch.tensor([[4, 4]]), ALL, 3.0, class_ids_BN=torch.tensor([[0, 1]]))
+    classes = PointAttributes(torch.tensor([[0, 1]]))
+    value = pair_loss(on_a_line(0, 30), torch.tensor([[4, 4]]), ALL, 3.0, attributes=classes)
     assert value.item() == pytest.approx(2 * (80 - 30) / 4)
 
 
@@ -87,7 +92,7 @@ def test_pair_loss_is_its_twin(kind, distance, weighting, reach, classes):
     want = TWIN.pair_loss(embedding.tolist(), s.ids.tolist(), config, 2.3, listed, s.points.tolist())
     for anchors in (None, 14, 1000):  # as many anchors as points are all of them, each once
         got = pair_loss(
-            embedding, s.ids, replace(config, anchors=anchors), 2.3, class_ids_BN=class_ids, points_BN3=s.points
+            embedding, s.ids, replace(config, anchors=anchors), 2.3, attributes=PointAttributes(class_ids, s.points)
         )
         assert got.item() == pytest.approx(want, rel=1e-8)  # a point's distance to itself is 1e-8, not 0
 
@@ -114,7 +119,7 @@ def test_gradient_is_that_of_finite_differences(kind, distance, weighting):
     def of_embedding(embedding):
         generator = torch.Generator().manual_seed(5)
         return pair_loss(
-            embedding, s.ids, config, 2.3, class_ids_BN=s.classes, points_BN3=s.points, generator=generator
+            embedding, s.ids, config, 2.3, attributes=PointAttributes(s.classes, s.points), generator=generator
         )
 
     assert torch.autograd.gradcheck(of_embedding, in_reading(config, s.embedding).requires_grad_())
@@ -132,10 +137,10 @@ def test_outer_gradient_scales_and_no_gradient_is_fine():
 def test_blocks_do_not_change_the_result(monkeypatch):
     s = scene(2)
     args = (s.embedding, s.ids, replace(ALL, reach=0.5), 2.0)
-    whole = value_and_gradient(*args, class_ids_BN=s.classes, points_BN3=s.points)
+    whole = value_and_gradient(*args, attributes=PointAttributes(s.classes, s.points))
     confidence = confidence_loss(s.confidence, s.embedding, s.ids, ALL)
-    monkeypatch.setitem(losses.BLOCK_ELEMENTS, "cpu", 3 * 14 * 4)  # 4 anchors at once, of 14
-    torch.testing.assert_close(value_and_gradient(*args, class_ids_BN=s.classes, points_BN3=s.points), whole)
+    monkeypatch.setitem(losses_module.BLOCK_ELEMENTS, "cpu", 3 * 14 * 4)  # 4 anchors at once, of 14
+    torch.testing.assert_close(value_and_gradient(*args, attributes=PointAttributes(s.classes, s.points)), whole)
     torch.testing.assert_close(confidence_loss(s.confidence, s.embedding, s.ids, ALL), confidence)
 
 
@@ -149,7 +154,7 @@ def test_anchors_expect_all_pairs_exactly(anchors, weighting, monkeypatch):
     config = PairLossConfig(weighting=weighting, anchors=anchors)
     want = value_and_gradient(s.embedding, s.ids, replace(config, anchors=None), 2.0)
     want_confidence = confidence_loss(s.confidence, s.embedding, s.ids, ALL)
-    probability = losses._anchor_probability(s.ids, anchors)
+    probability = anchor_draws.anchor_probability(s.ids, anchors)
     order = torch.where(s.ids >= 0, s.ids, 99).argsort(dim=1, stable=True)
     # The sample changes only where start + k passes a bound, so between two such starts any start stands for all.
     bounds = probability.gather(1, order).cumsum(1)
@@ -158,8 +163,8 @@ def test_anchors_expect_all_pairs_exactly(anchors, weighting, monkeypatch):
     for low, high in pairwise(starts):
         if high - low < 1e-9:
             continue
-        drawn = losses._systematic(probability, order, (low + high)[None, None] / 2, anchors)
-        monkeypatch.setattr(losses, "_draw_anchors", lambda *_, drawn=drawn: drawn)
+        drawn = anchor_draws.systematic_sample(probability, order, (low + high)[None, None] / 2, anchors)
+        monkeypatch.setattr(losses_module, "draw_anchors", lambda *_, drawn=drawn: drawn)
         part = value_and_gradient(s.embedding, s.ids, config, 2.0)
         value, gradient = value + (high - low) * part[0], gradient + (high - low) * part[1]
         confidence = confidence + (high - low) * confidence_loss(s.confidence, s.embedding, s.ids, config)
@@ -179,14 +184,14 @@ def test_many_draws_average_to_all_pairs():
 
 def test_anchor_probabilities():
     ids = torch.tensor([[0] * 50 + [1] * 8 + [2] + [-1], [5] * 3 + [-1] * 57])
-    probability = losses._anchor_probability(ids, 10)
+    probability = anchor_draws.anchor_probability(ids, 10)
     torch.testing.assert_close(probability.sum(1), torch.tensor([10.0, 3.0]).double())
     # One each, the seven others by (size - 1) / (59 - 3).
     torch.testing.assert_close(probability[0, 50].item(), (1 + 7 * 7 / 56) / 8)
     assert probability[0, 58] == 1
     assert probability[0, 59] == 0
     assert (probability[1, :3] == 1).all()
-    fewer = losses._anchor_probability(ids, 2)[0]
+    fewer = anchor_draws.anchor_probability(ids, 2)[0]
     torch.testing.assert_close(fewer[[0, 50, 58]], torch.tensor([2 / 150, 2 / 24, 2 / 3]).double())
 
 
@@ -195,7 +200,7 @@ def test_every_instance_is_seen_and_void_never():
     generator = torch.Generator().manual_seed(0)
     seen, gaps = set(), []
     for _ in range(50):
-        index, weight = losses._draw_anchors(ids, 6, generator)
+        index, weight = anchor_draws.draw_anchors(ids, 6, generator)
         assert set(ids[0, index[0]].tolist()) == {0, 1, 2, 3}
         assert (weight > 0).all()
         assert len(set(index[0].tolist())) == 6
