@@ -64,7 +64,7 @@ def _poses(part: str, seed: int) -> "NDArray[np.uint8]":
     import numpy as np
 
     from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_pose_scene
-    from binpick_env.evaluation.pose.judgement import PoseScore
+    from binpick_env.evaluation.pose.scene_score import PoseSceneScore
     from binpick_env.evaluation.pose.method import PoseMethodConfig
     from binpick_env.evaluation.pose.pictures import outlines
     from binpick_env.parts import load_part
@@ -75,5 +75,5 @@ def _poses(part: str, seed: int) -> "NDArray[np.uint8]":
     method = PoseMethodConfig(perception="learned", weights=find_weights(Path(part).stem))
     record = evaluate_pose_scene(PoseEvaluationConfig(scenes=SceneConfig(part=part, seed=seed), method=method), 0)
     model = load_part(part).model
-    bgr = outlines(record, PoseScore.of(record, 0, model), edge_appearances(model))
+    bgr = outlines(record, PoseSceneScore.from_record(record, 0, model), edge_appearances(model))
     return np.ascontiguousarray(bgr[:, :, ::-1])

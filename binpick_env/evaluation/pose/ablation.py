@@ -1,4 +1,4 @@
-"""What each idea of the pose estimation adds: rows over the same scenes and the same true segments."""
+"""Ablation of the pose estimation: variants of the method on the same scenes and the same true segments."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 
 from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_poses
-from binpick_env.evaluation.pose.judgement import PoseScore, load_pose_scores
 from binpick_env.evaluation.pose.method import PoseMethodConfig
+from binpick_env.evaluation.pose.scene_score import PoseSceneScore, load_pose_scores
 from binpick_env.evaluation.pose.statistics import (
     METHODS,
     bootstrap_weights,
@@ -30,8 +30,8 @@ from perception.pose.selection.bodies import BodyConfig
 from perception.runtime.provenance import command_line, git_commit, versions
 
 METRICS = ("recognition_rate", "recall", "precision")
-RESAMPLES = 1000
-ANYWHERE = BodyConfig(overlap=0.999, protrusion=0.999)  # no two parts lie in each other as much, or out of the bin
+RESAMPLES = 1000  # bootstrap resamples
+ANYWHERE = BodyConfig(overlap=0.999, protrusion=0.999)  # limits that no pose exceeds: collisions do not count
 Report = Callable[[str], object]
 
 
@@ -40,10 +40,10 @@ class PoseRow:
     """A row of the table.
 
     Attributes:
-        key: Name of its folder; rows of one key are computed once.
-        name: For people.
-        method: What is judged.
-        verified: Whether only verified poses are delivered.
+        key: Name of the folder of the row's records; rows of the same key share one computation.
+        name: Name of the row in the printed table.
+        method: Variant of the method.
+        verified: Whether only verified poses count.
     """
 
     key: str
@@ -54,20 +54,20 @@ class PoseRow:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseRowResult:
-    """A row's numbers.
+    """Numbers of a row.
 
     Attributes:
-        name: For people.
-        recognition_rate: Of the trials.
-        trials: Their number.
-        recall: Of the parts visible to a half or more.
-        precision: Of the delivered poses.
-        delivered: Their number.
-        intervals: 95 % of the three.
-        against_full: Differences to the first row, (value, low, high), 95 % percentile bootstrap over the same scenes
-            for both; None in the first row.
-        ms_per_group: Median time of a group's poses [ms]; NaN without groups.
-        ms_pose: Median time of a scene's poses [ms].
+        name: Name of the row in the printed table.
+        recognition_rate: Share of the trials that are recognised.
+        trials: Number of trials.
+        recall: Share of the parts with a visible fraction of at least 0.5 that have a correct pose.
+        precision: Share of the counted poses that are correct.
+        delivered: Number of counted poses: the verified ones, or all of them.
+        intervals: 95 % intervals of recognition rate, recall and precision.
+        against_full: Differences to the first row, (value, low, high), with the ends of a 95 % percentile bootstrap
+            over the same scenes; None in the first row.
+        ms_per_group: Median time of the pose of one group [ms]; NaN without groups.
+        ms_pose: Median time of all poses of a scene [ms].
     """
 
     name: str
@@ -84,20 +84,20 @@ class PoseRowResult:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseAblation:
-    """All rows.
+    """All rows of an ablation.
 
     Attributes:
-        rows: In the table's order, the full method first.
-        scenes: That every row was judged on.
-        threads: That a scene was computed on.
-        part: What was in the bins.
-        sensor: The depth camera's noise.
-        seed: Of the scenes.
-        interval_methods: How the rows' intervals were made.
-        note: How far paper and table can be compared.
-        command: Command line of the process that summed up.
-        git_commits: Of the code that made the records, and of this process.
-        versions: Python, platform and packages.
+        rows: Rows of the table, the full method first.
+        scenes: Number of scenes that every row was evaluated on.
+        threads: Numbers of threads that scenes were computed on.
+        part: Part in the bins.
+        sensor: Preset of the depth sensor's noise.
+        seed: Seed of the scenes.
+        interval_methods: Method of each interval.
+        note: How far these numbers and the paper's can be compared.
+        command: Command line of the process that made the table.
+        git_commits: Commits of the code that made the records and the table.
+        versions: Versions of Python, platform and packages.
     """
 
     rows: list[PoseRowResult]
@@ -114,7 +114,7 @@ class PoseAblation:
 
 
 def pose_rows(full: EstimatorConfig | None = None) -> list[PoseRow]:
-    """Return the rows, the full method first: one thing is different in each of the others."""
+    """Return the rows: the full method, then variants that each differ from it in one setting."""
     full = full or EstimatorConfig()
 
     def row(key: str, name: str, estimator: EstimatorConfig = full, **changes: Any) -> PoseRow:
@@ -177,7 +177,7 @@ def run_pose_ablation(
         WorkerError: A process was killed; every finished scene is kept.
     """
     scenes, count = config.scenes, config.count
-    scores: dict[str, list[PoseScore]] = {}
+    scores: dict[str, list[PoseSceneScore]] = {}
     for row in config.rows:
         evaluation = PoseEvaluationConfig(scenes=scenes, method=row.method)
         part = evaluation.load().part  # a part that cannot be loaded must not bind the folder
@@ -193,21 +193,21 @@ def run_pose_ablation(
 
 
 def tabulate_poses(
-    rows: Sequence[tuple[PoseRow, Sequence[PoseScore]]],
+    rows: Sequence[tuple[PoseRow, Sequence[PoseSceneScore]]],
     scenes: SceneConfig,
     rng: np.random.Generator,
     resamples: int = RESAMPLES,
 ) -> PoseAblation:
-    """Sum up rows that were judged on the same scenes.
+    """Tabulate rows that were evaluated on the same scenes.
 
     Args:
-        rows: With the scores of all scenes, in the table's order.
-        scenes: That they were judged on.
-        rng: The intervals' chance.
-        resamples: Of the bootstrap: scenes are drawn, the same for all rows.
+        rows: Each row of the table with the scores of all scenes.
+        scenes: Configuration of the scenes.
+        rng: Random generator of the bootstrap.
+        resamples: Number of bootstrap resamples; all rows share the drawn scenes.
 
     Raises:
-        ValueError: There is no row, or not all have the same scenes.
+        ValueError: There is no row, or the rows are of different scenes.
     """
     if not rows or not rows[0][1]:
         raise ValueError("there is nothing to tabulate: no row, or no scene")
@@ -230,7 +230,7 @@ def tabulate_poses(
     )
 
 
-def _result(row: PoseRow, scores: Sequence[PoseScore], weights: Floats, full: Floats | None) -> PoseRowResult:
+def _result(row: PoseRow, scores: Sequence[PoseSceneScore], weights: Floats, full: Floats | None) -> PoseRowResult:
     counts = pose_counts(scores, row.verified)
     sums = counts.sum(axis=0)
     return PoseRowResult(

@@ -1,4 +1,4 @@
-"""An ablation of the pose estimation as plain text, for the terminal."""
+"""Ablation of the pose estimation as plain text."""
 
 import textwrap
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from binpick_env.evaluation.pose.table import milliseconds
 from binpick_env.evaluation.segmentation.table import bounds, share
 from binpick_env.jobs.text_tables import columns
 
-_WIDE = 112
+_WIDE = 112  # width of the table [characters]
 _NOTE = (
     "All rows are judged on the same scenes, with the true segments but for the last. Recognition counts the pose of "
     "the three groups of a scene nearest to a whole part, verified or not; without segments the trials are the same "
@@ -20,7 +20,7 @@ _NOTE = (
 
 
 def pose_ablation_table(table: PoseAblation) -> str:
-    """Return the table that ends an ablation."""
+    """Return the table that an ablation prints."""
     threads = " or ".join(map(str, table.threads))
     title = (
         f"{table.part} · sensor {table.sensor} · {table.scenes} scenes · seed {table.seed} · "

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from binpick_env.evaluation.pose.judgement import PoseScore
 from binpick_env.evaluation.pose.record import EVIDENCE, PoseRecord
+from binpick_env.evaluation.pose.scene_score import PoseSceneScore
 from perception.geometry import Floats
 from perception.part import PartModel
 from perception.pose.verification.confidence import ConfidenceConfig
@@ -58,7 +58,7 @@ def load_sample(folder: Path, part: PartModel, clear: float) -> Sample:
 
 
 def _sample(record: PoseRecord, part: PartModel, clear: float) -> Sample:
-    score = PoseScore.of(record, 0, part)
+    score = PoseSceneScore.from_record(record, 0, part)
     columns = {name: record.verdicts[:, k] for k, name in enumerate(EVIDENCE)}
     predictors = np.column_stack(
         [
@@ -67,11 +67,11 @@ def _sample(record: PoseRecord, part: PartModel, clear: float) -> Sample:
             np.log(np.maximum(columns["size"], 1)),
         ]
     )
-    delivery = score.every
+    delivery = score.all_poses
     sought = np.zeros(len(score.scores), np.bool_)
-    sought[delivery.which] = delivery.right & score.to_find[np.maximum(delivery.claims, 0)]
+    sought[delivery.pose_idx] = delivery.correct & score.to_find[np.maximum(delivery.matched_part, 0)]
     missed = int(np.count_nonzero(score.to_find & ~delivery.found))
-    return Sample(predictors=predictors, right=score.fits, to_find=sought, missed=missed)
+    return Sample(predictors=predictors, right=score.correct, to_find=sought, missed=missed)
 
 
 def fit_confidence(sample: Sample, start: ConfidenceConfig | None = None) -> ConfidenceConfig:

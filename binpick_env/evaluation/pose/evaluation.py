@@ -52,9 +52,9 @@ class PoseEvaluationConfig:
     scenes: SceneConfig = field(default_factory=SceneConfig)
     method: PoseMethodConfig = field(default_factory=PoseMethodConfig)
 
-    def note(self) -> dict[str, Any]:
+    def settings(self) -> dict[str, Any]:
         """Return all settings as plain values, the contents of files by their hash."""
-        return {**scene_settings(self.scenes), "method": self.method.note()}
+        return {**scene_settings(self.scenes), "method": self.method.settings()}
 
     def load(self) -> PoseMethod:
         """Return the method, ready to look at the part that lies in the bins."""
@@ -116,7 +116,7 @@ def evaluate_poses(
     config.load()  # what cannot be loaded must not claim the folder
     if config.method.network is not None:
         require_unseen(EvaluationConfig(scenes=config.scenes, method=config.method.network))
-    ensure_same_config(folder / CONFIG_FILE, _flat(config.note()), "an evaluation of poses", RENAMED)
+    ensure_same_config(folder / CONFIG_FILE, _flat(config.settings()), "an evaluation of poses", RENAMED)
     missing = []
     for index in range(count):
         if not fresh and _is_whole(record_path(folder, index)):

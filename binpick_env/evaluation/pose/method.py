@@ -57,7 +57,7 @@ class PoseMethodConfig:
         """The segmentation's settings; None without a network."""
         return None if self.weights is None else MethodConfig(weights=self.weights)
 
-    def note(self) -> dict[str, Any]:
+    def settings(self) -> dict[str, Any]:
         """Return the settings as plain values; weights count by their content, wherever they lie."""
         return {**asdict(self), "weights": None if self.network is None else self.network.digest()}
 

@@ -1,4 +1,4 @@
-"""A scene's groups in colours, and the outlines of the poses on its image: green for right, red for wrong."""
+"""Pictures of a scene: its groups in colours, and outlines of the poses, green for correct and red for wrong."""
 
 from collections.abc import Sequence
 
@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.evaluation.pose.judgement import PoseScore
 from binpick_env.evaluation.pose.record import PoseRecord
+from binpick_env.evaluation.pose.scene_score import PoseSceneScore
 from binpick_env.evaluation.segmentation.pictures import JPEG_QUALITY, WIDTH, Panel, scene_panels
 from perception.geometry import Floats, project_points, transform_points
 from perception.pose.model.appearances import SeenEdges
@@ -15,56 +15,62 @@ from perception.pose.verification.refinement import view_direction
 
 Picture = NDArray[np.uint8]
 RIGHT, WRONG, MISSED = (90, 200, 40), (60, 50, 235), (40, 180, 245)  # BGR
-DASH = 0.012  # of d_max: half the length of the stroke that an edge point is drawn as
-_DIM = 0.75  # brightness of the image under outlines
-_FRACTION = 4  # bits of a pixel's fraction that OpenCV draws with
+DASH = 0.012  # half the length of the stroke that represents an edge point [d_max]
+_DIM = 0.75  # factor on the image's brightness under outlines
+_FRACTION = 4  # fractional bits of the pixel coordinates that OpenCV draws with
 
 
-def pose_panels(record: PoseRecord, score: PoseScore, edges: SeenEdges) -> list[Panel]:
-    """Return the grey image and the outlines on it (where it was kept), and the groups in colours."""
+def pose_panels(record: PoseRecord, score: PoseSceneScore, edges: SeenEdges) -> list[Panel]:
+    """Return panels of the groups in colours and, if the image was kept, of the image and of the poses on it."""
     shown = {panel.name: panel for panel in scene_panels(record.segmentation())}
     groups = shown["truth" if record.whole_scene else "prediction"]
-    named = groups._replace(name="true segments" if record.whole_scene else "groups")
+    titled = groups._replace(name="true segments" if record.whole_scene else "groups")
     if not record.picture.size:
-        return [named]
+        return [titled]
     _, data = cv2.imencode(".jpg", outlines(record, score, edges), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    return [shown["image"], named, Panel("poses", "jpeg", data.tobytes())]
+    return [shown["image"], titled, Panel("poses", "jpeg", data.tobytes())]
 
 
-def outlines(record: PoseRecord, score: PoseScore, edges: SeenEdges) -> Picture:
-    """Return (h, w, 3) BGR: the grey image with the verified poses' outlines over those of parts that were missed.
+def outlines(record: PoseRecord, score: PoseSceneScore, edges: SeenEdges) -> Picture:
+    """Draw the verified poses on the grey image, over the true poses of missed parts.
 
-    Missed are the parts that have to be found and that no right pose is of; they lie in their true poses.
+    A part is missed if its visible fraction is at least 0.5 and no verified pose is correct for it.
 
     Args:
-        record: With its grey image.
-        score: The verdicts on it.
-        edges: Of the part.
+        record: Record of the scene, with its grey image.
+        score: Score of the record.
+        edges: Edges of the part that are visible from each direction.
+
+    Returns:
+        (h, w, 3) uint8 BGR picture.
     """
     step = max(1, -(-record.picture.shape[1] // WIDTH))
     small = cv2.resize(record.picture, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA)
     picture = np.repeat((_DIM * small).astype(np.uint8)[:, :, None], 3, axis=2)
-    missed = np.flatnonzero(score.to_find & ~score.delivered.found)
-    right, wrong = score.delivered.which[score.delivered.right], score.delivered.which[~score.delivered.right]
+    missed = np.flatnonzero(score.to_find & ~score.verified.found)
+    right, wrong = score.verified.pose_idx[score.verified.correct], score.verified.pose_idx[~score.verified.correct]
     for poses, colour in (
         (record.T_cam_parts[missed], MISSED),
         (record.poses[wrong], WRONG),
         (record.poses[right], RIGHT),
     ):
         for T in poses:
-            # A picture's pixel is the mean of step by step pixels, whose centres are at integers.
+            # A pixel of the picture is the mean of step x step pixels of the image, whose centres are at integers.
             _draw(picture, (outline(T, edges, record.K, record.corner) - (step - 1) / 2) / step, colour)
     return picture
 
 
 def outline(T_cam_part: Floats, edges: SeenEdges, K: Floats, corner: Sequence[int]) -> Floats:
-    """Return the (S, 2, 2) ends (u, v) of strokes along the edges that a pose shows, from the picture's corner [px].
+    """Return strokes along the edges that are visible in a pose.
 
     Args:
-        T_cam_part: (4, 4).
-        edges: Of the part.
-        K: (3, 3) of the camera.
-        corner: Column and row of the picture's first pixel.
+        T_cam_part: (4, 4) pose of the part in the camera frame.
+        edges: Edges of the part that are visible from each direction.
+        K: (3, 3) camera matrix [px].
+        corner: Column and row of the picture's first pixel in the camera's image.
+
+    Returns:
+        (S, 2, 2) both ends (u, v) of each stroke, relative to the corner [px].
     """
     points, tangents = edges.seen_from(view_direction(T_cam_part, edges.centre))
     half = DASH * edges.d_max * tangents

@@ -1,4 +1,4 @@
-"""``report.html`` of estimated poses: the numbers, what scores are worth, and the scenes, worst first."""
+"""``report.html`` of an evaluation of poses: numbers, reliability of the scores, and scenes, the worst first."""
 
 from collections.abc import Sequence
 from html import escape
@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from binpick_env.evaluation.pose.judgement import PoseScore, worst_first
 from binpick_env.evaluation.pose.pictures import pose_panels
 from binpick_env.evaluation.pose.record import PoseRecord
+from binpick_env.evaluation.pose.scene_score import PoseSceneScore, worst_first
 from binpick_env.evaluation.pose.summary import PoseSummary
 from binpick_env.evaluation.pose.table import (
     band_rows,
@@ -35,20 +35,20 @@ _LEGEND = (
 
 
 def write_pose_report(
-    path: Path, summary: PoseSummary, scores: Sequence[PoseScore], folder: Path, edges: SeenEdges, gallery: int
+    path: Path, summary: PoseSummary, scores: Sequence[PoseSceneScore], folder: Path, edges: SeenEdges, gallery: int
 ) -> None:
-    """Write the page in one piece, its pictures inside.
+    """Write the report atomically, with its pictures inside.
 
     Args:
-        path: Of the HTML file.
-        summary: The numbers.
-        scores: Of all scenes.
-        folder: Where the records lie.
-        edges: Of the part, for its outlines.
-        gallery: Scenes that are shown at most.
+        path: HTML file.
+        summary: Summary of the evaluation.
+        scores: Score of each scene.
+        folder: Folder of the scenes' records.
+        edges: Edges of the part that are visible from each direction, drawn as the outlines of poses.
+        gallery: Largest number of scenes to show.
 
     Raises:
-        RecordError: A record that is shown is missing or damaged.
+        RecordError: The record of a shown scene is missing or damaged.
     """
     part = Path(summary.part).name
     sections = [
@@ -108,18 +108,18 @@ def _parts(summary: PoseSummary) -> str:
     return f"<h2>Parts</h2><div class='grid two'>{left}{right}</div>"
 
 
-def _gallery(scores: Sequence[PoseScore], folder: Path, edges: SeenEdges, limit: int) -> str:
+def _gallery(scores: Sequence[PoseSceneScore], folder: Path, edges: SeenEdges, limit: int) -> str:
     shown = worst_first(scores)[:limit]
     more = f" {len(shown)} of {len(scores)} scenes." if len(shown) < len(scores) else ""
     return f"<h2>Scenes</h2><p>{_LEGEND}{more}</p>" + "".join(_scene(score, folder, edges) for score in shown)
 
 
-def _scene(score: PoseScore, folder: Path, edges: SeenEdges) -> str:
+def _scene(score: PoseSceneScore, folder: Path, edges: SeenEdges) -> str:
     record = PoseRecord.load(record_path(folder, score.index))
-    given, trials = score.delivered, score.trials.recognised
+    given, trials = score.verified, score.trials.recognised
     facts = (
-        f"{(given.found & score.to_find).sum()} of {score.to_find.sum()} parts found · {(~given.right).sum()} of "
-        f"{len(given.right)} verified poses wrong · {trials.sum()} of {len(trials)} trials recognised · "
+        f"{(given.found & score.to_find).sum()} of {score.to_find.sum()} parts found · {(~given.correct).sum()} of "
+        f"{len(given.correct)} verified poses wrong · {trials.sum()} of {len(trials)} trials recognised · "
         f"{score.groups} groups · {milliseconds(score.ms['total'])} ms"
     )
     figures = "".join(inline_figure(panel.data, panel.kind, panel.name) for panel in pose_panels(record, score, edges))

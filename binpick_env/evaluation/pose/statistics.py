@@ -1,17 +1,17 @@
-"""Shares of trials, parts and poses over judged scenes, with their 95 % intervals. S scenes, R resamples."""
+"""Recognition rate, recall, precision and reliability over S scenes, with 95 % intervals from R resamples."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from binpick_env.evaluation.pose.judgement import PoseScore
+from binpick_env.evaluation.pose.scene_score import PoseSceneScore
 from perception.geometry import Floats
 from perception.metrics.average_precision import percentile_interval
 from perception.metrics.intervals import wilson_interval
 
-RELIABILITY_BINS = 10
-METHODS = {
+RELIABILITY_BINS = 10  # equal bins of the score in [0, 1]
+METHODS = {  # by number: how its interval is computed
     "recognition_rate": "Wilson, over trials",
     "recall": "percentile bootstrap over scenes",
     "precision": "Wilson, over poses",
@@ -22,15 +22,15 @@ METHODS = {
 
 @dataclass(frozen=True, kw_only=True)
 class PoseBand:
-    """The parts of one band of visible fractions.
+    """Recall of the parts in one band of visible fractions.
 
     Attributes:
-        low: Smallest visible fraction.
-        high: First beyond the band.
-        parts: In the band.
-        found: Of these, with a right verified pose.
-        recall: Their share; NaN without a part.
-        interval: 95 % of it.
+        low: Lower limit of the visible fraction, inclusive.
+        high: Upper limit of the visible fraction, exclusive below 1.
+        parts: Number of parts in the band.
+        found: Number of these parts with a correct verified pose.
+        recall: Share of the parts that were found; NaN without a part.
+        interval: 95 % interval of the recall.
     """
 
     low: float
@@ -43,16 +43,16 @@ class PoseBand:
 
 @dataclass(frozen=True, kw_only=True)
 class ReliabilityBin:
-    """The poses, verified or not, whose scores lie in one tenth of [0, 1].
+    """Poses, verified or not, whose scores lie in one tenth of [0, 1].
 
     Attributes:
-        low: Smallest score.
-        high: First beyond.
-        poses: In the bin.
-        right: Of these, right for some part.
-        share: The quotient; NaN without a pose.
-        interval: 95 % of it.
-        mean_score: What ``share`` would be if scores were probabilities; NaN without a pose.
+        low: Lower limit of the score, inclusive.
+        high: Upper limit of the score, exclusive below 1.
+        poses: Number of poses in the bin.
+        right: Number of these poses that are correct for some part.
+        share: Share of the poses that are correct; NaN without a pose.
+        interval: 95 % interval of the share.
+        mean_score: Mean score, which equals the share if scores are calibrated probabilities; NaN without a pose.
     """
 
     low: float
@@ -64,26 +64,26 @@ class ReliabilityBin:
     mean_score: float
 
 
-def pose_counts(scores: Sequence[PoseScore], verified: bool = True) -> Floats:
-    """Return (S, 6) of each scene: recognised, trials, parts found, parts to find, right poses, poses delivered."""
+def pose_counts(scores: Sequence[PoseSceneScore], verified: bool = True) -> Floats:
+    """Return the (S, 6) counts of each scene: recognised, trials, parts found, parts to find, correct poses, poses."""
     rows = []
     for score in scores:
-        given = score.delivered if verified else score.every
+        given = score.verified if verified else score.all_poses
         found = (given.found & score.to_find).sum()
         recognised = score.trials.recognised
         rows.append(
-            [recognised.sum(), len(recognised), found, score.to_find.sum(), given.right.sum(), len(given.right)]
+            [recognised.sum(), len(recognised), found, score.to_find.sum(), given.correct.sum(), len(given.correct)]
         )
     return np.array(rows, np.float64).reshape(-1, 6)
 
 
 def bootstrap_weights(scenes: int, rng: np.random.Generator, resamples: int) -> Floats:
-    """Return (R, S) how often each scene is drawn in each resample."""
+    """Draw how often each scene occurs in each resample, (R, S)."""
     return rng.multinomial(scenes, np.full(scenes, 1.0 / scenes), size=resamples).astype(np.float64)
 
 
 def resampled_quotients(counts: Floats, weights: Floats) -> Floats:
-    """Return (R, 3) recognition rate, recall and precision, scenes counting (R, S) ``weights`` times; NaN for 0 / 0."""
+    """Return (R, 3) recognition rate, recall and precision of scenes weighted by (R, S) ``weights``; NaN for 0 / 0."""
     sums = weights @ counts
     below = sums[:, 1::2]
     quotients: Floats = np.divide(sums[:, ::2], below, out=np.full(below.shape, np.nan), where=below > 0)
@@ -91,10 +91,10 @@ def resampled_quotients(counts: Floats, weights: Floats) -> Floats:
 
 
 def pose_intervals(counts: Floats, weights: Floats) -> dict[str, tuple[float, float]]:
-    """Return the 95 % intervals of recognition rate, recall and precision, made as `METHODS` says.
+    """Return the 95 % intervals of recognition rate, recall and precision by the methods in `METHODS`.
 
-    Recall is resampled over scenes, whose parts are hidden together. Wrong poses are few and far between: from scenes
-    without any the bootstrap would conclude that there are none.
+    Recall is resampled over scenes, because the parts of a scene are not independent. Wrong poses are rare: from scenes
+    without any wrong pose the bootstrap would conclude that precision is certainly 1.
     """
     sums = counts.sum(axis=0).astype(int).tolist()
     return {
@@ -104,14 +104,14 @@ def pose_intervals(counts: Floats, weights: Floats) -> dict[str, tuple[float, fl
     }
 
 
-def reliability(scores: Sequence[PoseScore]) -> list[ReliabilityBin]:
-    """Return what a score in each tenth of [0, 1] is worth."""
-    values, right = _all_poses(scores)
+def reliability(scores: Sequence[PoseSceneScore]) -> list[ReliabilityBin]:
+    """Return the share of correct poses for each tenth of the score."""
+    values, correct = _all_poses(scores)
     tenths = np.minimum((values * RELIABILITY_BINS).astype(int), RELIABILITY_BINS - 1)
     bins = []
     for k in range(RELIABILITY_BINS):
-        mine = tenths == k
-        hits, count = int(right[mine].sum()), int(mine.sum())
+        inside = tenths == k
+        hits, count = int(correct[inside].sum()), int(inside.sum())
         bins.append(
             ReliabilityBin(
                 low=k / RELIABILITY_BINS,
@@ -120,52 +120,52 @@ def reliability(scores: Sequence[PoseScore]) -> list[ReliabilityBin]:
                 right=hits,
                 share=quotient(hits, count),
                 interval=wilson_interval(hits, count),
-                mean_score=float(values[mine].mean()) if count else np.nan,
+                mean_score=float(values[inside].mean()) if count else np.nan,
             )
         )
     return bins
 
 
-def visible_band(scores: Sequence[PoseScore], low: float, high: float) -> PoseBand:
+def visible_band(scores: Sequence[PoseSceneScore], low: float, high: float) -> PoseBand:
     """Return the recall of the parts of one band of visible fractions."""
     inside = [(score.visible_fractions >= low) & (score.visible_fractions < high) for score in scores]
     parts = int(sum(mask.sum() for mask in inside))
-    found = int(sum(score.delivered.found[mask].sum() for score, mask in zip(scores, inside, strict=True)))
+    found = int(sum(score.verified.found[mask].sum() for score, mask in zip(scores, inside, strict=True)))
     interval = wilson_interval(found, parts)
     share = quotient(found, parts)
     return PoseBand(low=low, high=min(high, 1.0), parts=parts, found=found, recall=share, interval=interval)
 
 
 def calibration_error(bins: Sequence[ReliabilityBin]) -> float:
-    """Return the mean difference between score and share, by the bins' number of poses."""
+    """Return the expected calibration error: the bins' mean |share - mean score|, weighted by their poses."""
     filled = [each for each in bins if each.poses]
-    off = sum(each.poses * abs(each.share - each.mean_score) for each in filled)
-    return quotient(off, sum(each.poses for each in filled))
+    total = sum(each.poses * abs(each.share - each.mean_score) for each in filled)
+    return quotient(total, sum(each.poses for each in filled))
 
 
-def brier(scores: Sequence[PoseScore]) -> float:
-    """Return the mean square of the difference between a score and 1 or 0, right or wrong."""
-    values, right = _all_poses(scores)
-    return float(np.mean((values - right) ** 2)) if len(values) else np.nan
+def brier(scores: Sequence[PoseSceneScore]) -> float:
+    """Return the Brier score: mean squared difference between a score and 1 for correct, 0 for wrong."""
+    values, correct = _all_poses(scores)
+    return float(np.mean((values - correct) ** 2)) if len(values) else np.nan
 
 
-def ms_per_group(scores: Sequence[PoseScore]) -> float:
-    """Return the median over scenes of the time that the poses of a group took [ms]; NaN without groups."""
+def ms_per_group(scores: Sequence[PoseSceneScore]) -> float:
+    """Return the median over scenes of the pose estimation's time per group [ms]; NaN without groups."""
     return median([score.ms["pose"] / score.groups for score in scores if score.groups])
 
 
 def median(values: Sequence[float]) -> float:
-    """Return the median of what is not NaN, NaN of nothing."""
+    """Return the median of the values that are not NaN; NaN if there is none."""
     known = [value for value in values if not np.isnan(value)]
     return float(np.median(known)) if known else np.nan
 
 
 def quotient(count: float, total: float) -> float:
-    """Return a share, NaN of nothing."""
+    """Return ``count / total``; NaN if the total is 0."""
     return float(count / total) if total else np.nan
 
 
-def _all_poses(scores: Sequence[PoseScore]) -> tuple[Floats, Floats]:
-    """Return the score of every pose of every scene, and 1 or 0 for right or wrong."""
+def _all_poses(scores: Sequence[PoseSceneScore]) -> tuple[Floats, Floats]:
+    """Return the score of every pose of every scene, and 1 for correct or 0 for wrong."""
     values = np.concatenate([score.scores for score in scores])
-    return values, np.concatenate([score.fits for score in scores]).astype(np.float64)
+    return values, np.concatenate([score.correct for score in scores]).astype(np.float64)

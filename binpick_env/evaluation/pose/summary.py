@@ -1,4 +1,4 @@
-"""From judged scenes to the numbers that are printed; the field names are the JSON's keys."""
+"""Summary of an evaluation of poses; its field names are the keys of the JSON file."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig
-from binpick_env.evaluation.pose.judgement import Delivery, PoseScore
 from binpick_env.evaluation.pose.record import STAGES
+from binpick_env.evaluation.pose.scene_score import PoseMatches, PoseSceneScore
 from binpick_env.evaluation.pose.statistics import (
     METHODS,
     PoseBand,
@@ -24,7 +24,7 @@ from binpick_env.evaluation.pose.statistics import (
     reliability,
     visible_band,
 )
-from binpick_env.evaluation.segmentation.summary import BANDS, weights_facts
+from binpick_env.evaluation.segmentation.summary import BANDS, weights_provenance
 from binpick_env.scenes.clutter import pooled_clutter
 from perception.geometry import Floats
 from perception.metrics.average_precision import ap_summary, percentile_interval, weighted_ap
@@ -32,9 +32,9 @@ from perception.metrics.matching import SceneMatches
 from perception.metrics.pose_recognition import pose_average_precision, pose_precision_recall
 from perception.runtime.provenance import command_line, versions
 
-_APS = ("ap", "ap50", "ap75")  # in the order of `weighted_ap`
+_APS = ("ap", "ap50", "ap75")  # the first columns of `weighted_ap`
 QUANTILES = {"median": 0.5, "p90": 0.9, "p95": 0.95}
-# Table 3 of the paper: recognition rate, then ms of segmentation, of PPF-MEAM and in all, of one scene.
+# Table 3 of the paper: recognition rate; time of segmentation, of PPF-MEAM and in total for one scene [ms].
 PAPER = {
     "Part A": (0.9833, 2087.0, 1224.0, 3311.0),
     "Part B": (0.9833, 1892.0, 1085.0, 2977.0),
@@ -48,55 +48,58 @@ NOTE = (
 
 @dataclass(frozen=True, kw_only=True)
 class PoseSummary:
-    """An evaluation's numbers; NaN where there is nothing to count.
+    """Numbers of an evaluation; NaN where there is nothing to count.
 
     Attributes:
-        recognition_rate: Share of the trials (per scene the three groups nearest to a whole part in their number of
-            points) whose pose is within 10 % of d_max and 5 degrees of the part that owns most of the group's points;
-            no pose is a failure, and verification removes none.
+        recognition_rate: Share of the trials (in each scene the three groups whose number of points is nearest to that
+            of a whole part) whose pose is within 0.1 d_max and 5 deg of the part that most of the group's points lie
+            on. A group without a pose is a failure; verification removes no trial.
         trials: Number of trials.
-        recall: Share of the parts visible to a half or more that have a right verified pose.
-        parts_to_find: Number of these parts.
-        precision: Share of the verified poses that are right, for any part; of several for one part one is.
+        recall: Share of the parts with a visible fraction of at least 0.5 that have a correct verified pose.
+        parts_to_find: Number of parts with a visible fraction of at least 0.5.
+        precision: Share of the verified poses that are correct; of several poses of a part one is correct.
         verified: Number of verified poses.
-        unverified: recall, precision and number of poses if all of them were delivered.
-        intervals: 95 % of the three.
-        interval_methods: How each was made.
-        pose_ap: Bregier's average precision of the verified poses, by his distance; unverified_pose_ap: of all poses.
-        unverified_pose_ap: See there.
-        translation_mm: Quantiles of the recognised trials' error at the part's centre.
-        rotation_deg: Quantiles of the recognised trials' error modulo symmetry.
-        purity: Median share of a trial group's points on its part.
-        by_visible_fraction: Recall by band.
-        reliability: What scores are worth.
-        calibration_error: Mean of the bins' differences between score and share, by their number of poses.
-        brier: Mean square of the difference between a score and 1 or 0.
-        ap: ScanNet's average precision of the groups; ap50 and ap75 are those at one IoU; 0 without segments.
-        ap50: See there.
-        ap75: See there.
-        explained: The same three after the poses have explained the points.
-        explained_gain: Differences to those before, (value, low, high), 95 % percentile bootstrap over scenes.
-        ms_segmentation: Median wall clock from boundary points to groups [ms]; 0 without a network.
-        ms_pose: From groups to verified poses, all groups of a scene [ms].
-        ms_trials: For the poses of the trials' groups alone [ms].
-        ms_per_group: Of ``ms_pose``, for each group [ms].
-        ms: Medians of all stages; "total" is from a frame to verified poses.
-        groups_per_scene: Median.
-        threads: That a scene was computed on.
-        clutter: median (mean of the scenes' medians), below_half and above_nine_tenths (shares of all parts), parts.
+        unverified: Recall, precision and number of poses if all estimated poses counted.
+        intervals: 95 % intervals of recognition rate, recall and precision.
+        interval_methods: Method of each interval.
+        pose_ap: Bregier's average precision of the verified poses, by his distance.
+        unverified_pose_ap: Bregier's average precision of all estimated poses.
+        translation_mm: Quantiles of the recognised trials' position error at the part's centre [mm].
+        rotation_deg: Quantiles of the recognised trials' rotation error modulo symmetry [deg].
+        purity: Median share of a trial group's points that lie on its part.
+        by_visible_fraction: Recall by band of visible fractions.
+        reliability: Share of correct poses by tenth of the score.
+        calibration_error: Mean |share - mean score| over the bins of ``reliability``, weighted by their poses.
+        brier: Mean squared difference between a score and 1 for correct, 0 for wrong.
+        ap: ScanNet's average precision of the groups; 0 without segments.
+        ap50: Average precision of the groups at an IoU of 0.5.
+        ap75: Average precision of the groups at an IoU of 0.75.
+        explained: ap, ap50 and ap75 of the groups after explanation by the poses.
+        explained_gain: Gain of ap, ap50 and ap75 by the explanation, (value, low, high), with the ends of a 95 %
+            percentile bootstrap over scenes.
+        ms_segmentation: Median time from boundary points to groups [ms]; 0 without a network.
+        ms_pose: Median time from all groups of a scene to verified poses [ms].
+        ms_trials: Median time of the poses of the trials' groups alone [ms].
+        ms_per_group: Median time of the pose of one group [ms].
+        ms: Median time of each stage [ms]; "total" is from a frame to verified poses.
+        groups_per_scene: Median number of groups in a scene.
+        threads: Numbers of threads that scenes were computed on.
+        clutter: Median visible fraction (mean of the scenes' medians), shares of parts below 0.5 and above 0.9, and the
+            number of parts.
         scenes: Number of scenes.
-        part: What was in the bins.
-        sensor: The depth camera's noise.
-        seed: Of the scenes.
-        perception: Where the segments came from.
-        min_score: From which a pose is verified.
-        weights: path, sha256 and, of their training: git_commit, parts, steps, minutes, scenes; None without a network.
-        paper: Table 3 of the paper: rate, and ms of segmentation, of PPF-MEAM and in all.
-        note: How far the two can be compared.
+        part: Part in the bins.
+        sensor: Preset of the depth sensor's noise.
+        seed: Seed of the scenes.
+        perception: Origin of the segments: "learned", "gt_masks" or "whole_scene".
+        min_score: Smallest score of a verified pose.
+        weights: Path and SHA-256 of the weights, with commit, parts, steps, minutes and scenes of their training; None
+            without a network.
+        paper: Table 3 of the paper: recognition rate; time of segmentation, of PPF-MEAM and in total [ms].
+        note: How far these numbers and the paper's can be compared.
         config: All settings.
-        command: Command line of the process that summed up.
-        git_commits: Of the code that made the records; more than one if the code changed between them.
-        versions: Python, platform and packages.
+        command: Command line of the process that computed the summary.
+        git_commits: Commits of the code that made the records; several if the code changed between them.
+        versions: Versions of Python, platform and packages.
     """
 
     recognition_rate: float
@@ -146,15 +149,15 @@ class PoseSummary:
 
 
 def summarise_poses(
-    config: PoseEvaluationConfig, scores: Sequence[PoseScore], rng: np.random.Generator, resamples: int = 1000
+    config: PoseEvaluationConfig, scores: Sequence[PoseSceneScore], rng: np.random.Generator, resamples: int = 1000
 ) -> PoseSummary:
-    """Sum scenes up.
+    """Summarise the scores of all scenes.
 
     Args:
-        config: That their records are of.
-        scores: Of all scenes.
-        rng: The intervals' chance.
-        resamples: Of the bootstrap.
+        config: Configuration of the evaluation.
+        scores: Score of each scene.
+        rng: Random generator of the bootstrap.
+        resamples: Number of bootstrap resamples.
 
     Raises:
         ValueError: There is no scene.
@@ -167,7 +170,7 @@ def summarise_poses(
     weights = bootstrap_weights(len(scores), rng, resamples)
     before, after = ([getattr(score, name) for score in scores] for name in ("segmentation", "explained"))
     groups, explained = ap_summary(before), ap_summary(after)
-    everything = pose_counts(scores, verified=False).sum(axis=0)
+    unverified = pose_counts(scores, verified=False).sum(axis=0)
     bins = reliability(scores)
     ms = _times(scores)
     return PoseSummary(
@@ -178,13 +181,13 @@ def summarise_poses(
         precision=quotient(sums[4], sums[5]),
         verified=int(sums[5]),
         unverified={
-            "recall": quotient(everything[2], everything[3]),
-            "precision": quotient(everything[4], everything[5]),
-            "poses": int(everything[5]),
+            "recall": quotient(unverified[2], unverified[3]),
+            "precision": quotient(unverified[4], unverified[5]),
+            "poses": int(unverified[5]),
         },
         intervals=pose_intervals(counts, weights),
-        pose_ap=_bregier(scores, lambda score: score.delivered),
-        unverified_pose_ap=_bregier(scores, lambda score: score.every),
+        pose_ap=_bregier(scores, lambda score: score.verified),
+        unverified_pose_ap=_bregier(scores, lambda score: score.all_poses),
         translation_mm=_quantiles(1000 * _recognised(scores, "translations")),
         rotation_deg=_quantiles(np.rad2deg(_recognised(scores, "rotations"))),
         purity=median([value for score in scores for value in score.trials.purities]),
@@ -211,8 +214,8 @@ def summarise_poses(
         seed=config.scenes.seed,
         perception=method.perception,
         min_score=method.estimator.min_score,
-        weights=None if method.network is None else weights_facts(method.network),
-        config=config.note(),
+        weights=None if method.network is None else weights_provenance(method.network),
+        config=config.settings(),
         git_commits=sorted({score.git_commit for score in scores}),
     )
 
@@ -220,19 +223,19 @@ def summarise_poses(
 def _gain(
     before: Sequence[SceneMatches], after: Sequence[SceneMatches], weights: Floats
 ) -> dict[str, tuple[float, float, float]]:
-    """Return the differences of the APs that the poses have made, with their intervals."""
+    """Return the gain of each AP by the explanation, with its interval."""
     ones = np.ones((1, len(before)))
     value = (weighted_ap(after, ones) - weighted_ap(before, ones))[0]
     drawn = weighted_ap(after, weights) - weighted_ap(before, weights)
     return {name: (float(value[k]), *percentile_interval(drawn[:, k])) for k, name in enumerate(_APS)}
 
 
-def _times(scores: Sequence[PoseScore]) -> dict[str, float]:
+def _times(scores: Sequence[PoseSceneScore]) -> dict[str, float]:
     return {name: median([score.ms[name] for score in scores]) for name in STAGES}
 
 
-def _recognised(scores: Sequence[PoseScore], name: str) -> Floats:
-    """Return one error of all recognised trials."""
+def _recognised(scores: Sequence[PoseSceneScore], name: str) -> Floats:
+    """Return the errors called ``name`` of all recognised trials."""
     return np.concatenate([getattr(score.trials, name)[score.trials.recognised] for score in scores])
 
 
@@ -240,5 +243,5 @@ def _quantiles(values: Floats) -> dict[str, float]:
     return {name: float(np.quantile(values, q)) if len(values) else np.nan for name, q in QUANTILES.items()}
 
 
-def _bregier(scores: Sequence[PoseScore], of: Callable[[PoseScore], Delivery]) -> float:
-    return pose_average_precision(pose_precision_recall([of(score).bregier for score in scores]))
+def _bregier(scores: Sequence[PoseSceneScore], matches: Callable[[PoseSceneScore], PoseMatches]) -> float:
+    return pose_average_precision(pose_precision_recall([matches(score).bregier for score in scores]))

@@ -1,4 +1,4 @@
-"""The poses' numbers as plain text, for the terminal; and the same in the layout of the paper's table 3."""
+"""Summary of an evaluation of poses as plain text, in our layout and in that of the paper's table 3."""
 
 import textwrap
 from pathlib import Path
@@ -18,7 +18,7 @@ SEGMENTS = {
 
 
 def pose_table(summary: PoseSummary) -> str:
-    """Return the table that ends an evaluation."""
+    """Return the table that an evaluation prints."""
     rule = "─" * WIDTH
     lines = [facts_line(summary), "═" * WIDTH, *_headline(summary), rule, columns(band_rows(summary)), rule]
     lines += [columns(reliability_rows(summary)), rule, *_facts(summary), rule]
@@ -31,12 +31,12 @@ def pose_table(summary: PoseSummary) -> str:
 
 
 def table_three(summary: PoseSummary) -> str:
-    """Return the paper's table 3 with a column before it: the recognition rate and the times behind it."""
+    """Return the paper's table 3 (recognition rate and times) beside a column of this evaluation."""
     names = ("Recognition rate [%]", "Segmentation of a scene [ms]", "PPF-MEAM [ms]", "Total [ms]")
     rows: list[tuple[str, ...]] = [("", Path(summary.part).stem, *(f"paper, {part}" for part in PAPER))]
-    for k, (name, mine) in enumerate(zip(names, _third(summary), strict=True)):
-        theirs = (f"{100 * paper[k]:.2f}" if k == 0 else f"{paper[k]:.0f}" for paper in PAPER.values())
-        rows.append((name, share(mine) if k == 0 else milliseconds(mine), *theirs))
+    for k, (name, value) in enumerate(zip(names, _table_three_values(summary), strict=True)):
+        papers = (f"{100 * paper[k]:.2f}" if k == 0 else f"{paper[k]:.0f}" for paper in PAPER.values())
+        rows.append((name, share(value) if k == 0 else milliseconds(value), *papers))
     searched = "the whole scene" if summary.perception == "whole_scene" else "the three groups nearest to a part"
     what = (
         f"{summary.trials} trials in {summary.scenes} scenes of seed {summary.seed}, sensor {summary.sensor}, "
@@ -47,8 +47,8 @@ def table_three(summary: PoseSummary) -> str:
     return "\n".join([columns(rows), "─" * WIDTH, *textwrap.wrap(f"NOTE  {what}", WIDTH)])
 
 
-def _third(summary: PoseSummary) -> tuple[float, ...]:
-    """Return rate, and ms of segmentation (NaN if nothing was segmented), of the poses and of both."""
+def _table_three_values(summary: PoseSummary) -> tuple[float, ...]:
+    """Return the recognition rate and the times of segmentation (NaN without one), of the poses and in total [ms]."""
     ms = summary.ms
     before = ms["boundary"] + summary.ms_segmentation
     poses = ms["pose"] if summary.perception == "whole_scene" else summary.ms_trials
@@ -58,29 +58,32 @@ def _third(summary: PoseSummary) -> tuple[float, ...]:
 
 
 def facts_line(summary: PoseSummary) -> str:
-    """Return what was judged on what."""
+    """Return part, segments, sensor, number of scenes and seed in one line."""
     facts = (summary.part, perception_name(summary), f"sensor {summary.sensor}", f"{summary.scenes} scenes")
     return " · ".join([*facts, f"seed {summary.seed}"])
 
 
 def perception_name(summary: PoseSummary) -> str:
-    """Return where the segments came from, in a few words."""
+    """Return a short description of the origin of the segments."""
     name = SEGMENTS[summary.perception]
     return name if summary.weights is None else f"{name} ({Path(summary.weights['path']).name})"
 
 
 def headline_rows(summary: PoseSummary) -> list[tuple[str, float, str, tuple[float, float]]]:
-    """Return name, value, what it is of, and interval of the three headline numbers."""
-    of = {
+    """Return name, value, population and interval of recognition rate, recall and precision."""
+    population = {
         "recognition_rate": f"{summary.trials} trials",
         "recall": f"{summary.parts_to_find} parts",
         "precision": f"{summary.verified} poses",
     }
-    return [(name.replace("_", " "), getattr(summary, name), of[name], summary.intervals[name]) for name in of]
+    return [
+        (name.replace("_", " "), getattr(summary, name), counted, summary.intervals[name])
+        for name, counted in population.items()
+    ]
 
 
 def band_rows(summary: PoseSummary) -> list[tuple[str, ...]]:
-    """Return recall by visible fraction, its header first."""
+    """Return the header and rows of recall by visible fraction."""
     rows: list[tuple[str, ...]] = [("visible", "parts", "found", "recall", "95 %")]
     for band in summary.by_visible_fraction:
         span, interval = f"{band.low:.1f} to {band.high:.1f}", bounds(band.interval) if band.parts else "–"
@@ -89,7 +92,7 @@ def band_rows(summary: PoseSummary) -> list[tuple[str, ...]]:
 
 
 def reliability_rows(summary: PoseSummary) -> list[tuple[str, ...]]:
-    """Return what scores are worth, the header first."""
+    """Return the header and rows of the share of correct poses by score."""
     rows: list[tuple[str, ...]] = [("score", "poses", "right", "mean score", "share right", "95 %")]
     for each in summary.reliability:
         interval = bounds(each.interval) if each.poses else "–"
@@ -99,12 +102,12 @@ def reliability_rows(summary: PoseSummary) -> list[tuple[str, ...]]:
 
 
 def milliseconds(value: float) -> str:
-    """Return whole milliseconds, or a dash for NaN."""
+    """Return a time in whole milliseconds, or a dash for NaN."""
     return "–" if np.isnan(value) else f"{value:.0f}"
 
 
 def quantiles(values: dict[str, float], unit: str) -> str:
-    """Return the median and the 95 % quantile of errors, or a dash where there are none."""
+    """Return median and 95 % quantile as text, or a dash without values."""
     if np.isnan(values["median"]):
         return "–"
     return f"median {values['median']:.2f}, 95 % under {values['p95']:.2f} {unit}"

@@ -138,7 +138,7 @@ class AblationConfig:
         if seeds[0] is not None and seeds[0] == seeds[1]:
             raise ValueError(f"training and validation scenes are both of seed {seeds[0]}; choose another folder")
 
-    def note(self) -> dict[str, Any]:
+    def settings(self) -> dict[str, Any]:
         """Return what may not change between runs into one folder; more scenes or trainings may be asked for."""
         folders = {"training": self.training, "validation": self.validation}
         given = {name: None if path is None else str(path) for name, path in folders.items()}
@@ -174,7 +174,7 @@ def run_ablation(config: AblationConfig, out: Path, workers: int = 1, report: Re
     load_part(config.scenes.part, unit=config.scenes.unit)  # what is not there must not claim the folder
     for given in filter(None, (config.training, config.validation)):
         find_scenes([given])
-    ensure_same_config(out / "ablation.json", config.note(), "an ablation")
+    ensure_same_config(out / "ablation.json", config.settings(), "an ablation")
     work = _Work(
         config=config,
         out=out,
@@ -184,7 +184,7 @@ def run_ablation(config: AblationConfig, out: Path, workers: int = 1, report: Re
         validation=_scenes(config, "validation", out, workers),
     )
     rows = [work.judged(row) for row in ROWS]
-    return tabulate(rows, config.note(), np.random.default_rng(config.scenes.seed))
+    return tabulate(rows, config.settings(), np.random.default_rng(config.scenes.seed))
 
 
 def _scenes(config: AblationConfig, use: Literal["training", "validation"], out: Path, workers: int) -> list[Path]:
@@ -224,7 +224,7 @@ class _Work:
             for k, _ in enumerate(done):
                 self.report(f"{who}: scene {k + 1} of {self.config.count}")
             minutes = None if weights is None else float(load_record(weights)["minutes"])
-            scores = scores.with_training(load_scores(folder, self.config.count), method.setting, tried, minutes)
+            scores = scores.with_training(load_scores(folder, self.config.count), method.distance, tried, minutes)
         return scores
 
     def trained(self, network: Network, seed: int) -> Path:
@@ -254,7 +254,7 @@ class _Work:
             with suppress(ValueError, KeyError, TypeError):  # a damaged note is written anew
                 kept = json.loads(note.read_text())
                 if kept["weights"] == digest:
-                    return method.at(kept["chosen"]), kept["tried"]
+                    return method.with_distance(kept["chosen"]), kept["tried"]
         settings = RADII if method.kind == "euclidean" else THRESHOLDS
         judge = partial(_judge_at, method, settings, self.validation)
         each = list(map_indices(judge, range(len(self.validation)), self.workers))
@@ -262,7 +262,7 @@ class _Work:
         best = settings[int(np.argmax(np.nan_to_num(aps)))]
         tried = {f"{setting:g}": ap for setting, ap in zip(settings, aps, strict=True)}
         write_atomically(note, json_text({"weights": digest, "chosen": best, "tried": tried}))
-        return method.at(best), tried
+        return method.with_distance(best), tried
 
 
 def _judge_at(method: MethodConfig, settings: Sequence[float], paths: Sequence[Path], index: int) -> list[SceneMatches]:

@@ -44,9 +44,9 @@ class EvaluationConfig:
     scenes: SceneConfig = field(default_factory=SceneConfig)
     method: MethodConfig
 
-    def note(self) -> dict[str, Any]:
+    def settings(self) -> dict[str, Any]:
         """Return all settings as plain values, the contents of files by their hash."""
-        return {**scene_settings(self.scenes), "method": self.method.note()}
+        return {**scene_settings(self.scenes), "method": self.method.settings()}
 
 
 def evaluate_scenes(
@@ -79,7 +79,7 @@ def evaluate_scenes(
     load_part(config.scenes.part, unit=config.scenes.unit)
     segmenter(config.method)  # what cannot be loaded must not claim the folder
     require_unseen(config)
-    ensure_same_config(folder / CONFIG_FILE, config.note(), "an evaluation")
+    ensure_same_config(folder / CONFIG_FILE, config.settings(), "an evaluation")
     missing = []
     for index in range(count):
         if not fresh and _is_whole(record_path(folder, index)):

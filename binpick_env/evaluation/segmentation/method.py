@@ -75,7 +75,7 @@ class MethodConfig:
         """Return the same method with another :attr:`setting`."""
         return replace(self, radius=setting) if self.kind == "euclidean" else replace(self, threshold=setting)
 
-    def note(self) -> dict[str, Any]:
+    def settings(self) -> dict[str, Any]:
         """Return the settings as plain values; weights count by their content, wherever they lie."""
         return {**asdict(self), "weights": self.digest()}
 
@@ -105,12 +105,12 @@ class Segmenter:
         """Return the instances, best first; see :meth:`SegmentationPredictor.predict`."""
         if self._predictor is not None and self.config.grouping == "ours":
             return self._predictor.predict(boundary, surface, d_max)
-        return self.segment_at((self.config.setting,), boundary, surface, d_max)[0]
+        return self.segment_at((self.config.distance,), boundary, surface, d_max)[0]
 
     def segment_at(
         self, settings: Sequence[float], boundary: BoundaryCloud, surface: Surface, d_max: float
     ) -> list[list[Instance]]:
-        """Return the instances at each of ``settings`` (see :attr:`MethodConfig.setting`); the network runs once."""
+        """Return the instances at each of ``settings`` (see :attr:`MethodConfig.distance`); the network runs once."""
         config, points = self.config, boundary.points_cam
         if len(boundary) == 0:
             return [[] for _ in settings]

@@ -160,7 +160,7 @@ def load_scores(folder: Path, count: int) -> list[SceneScore]:
     Raises:
         RecordError: One is missing or damaged.
     """
-    return [SceneScore.of(SceneRecord.load(record_path(folder, index)), index) for index in range(count)]
+    return [SceneScore.from_record(SceneRecord.load(record_path(folder, index)), index) for index in range(count)]
 
 
 def summarise(
@@ -204,9 +204,9 @@ def summarise(
         part=config.scenes.part,
         sensor=config.scenes.sensor,
         seed=config.scenes.seed,
-        method=config.method.note(),
-        weights=weights_facts(config.method),
-        config=config.note(),
+        method=config.method.settings(),
+        weights=weights_provenance(config.method),
+        config=config.settings(),
         git_commits=sorted({score.git_commit for score in scores}),
     )
 
@@ -216,7 +216,7 @@ def save_summary(path: Path, summary: Any) -> None:
     write_atomically(path, json_text(asdict(summary)))
 
 
-def weights_facts(method: MethodConfig) -> dict[str, Any] | None:
+def weights_provenance(method: MethodConfig) -> dict[str, Any] | None:
     """Return where a method's weights come from; None if it has none."""
     if method.weights is None:
         return None

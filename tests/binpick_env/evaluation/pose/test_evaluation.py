@@ -16,9 +16,9 @@ from binpick_env.evaluation.pose import evaluation as pose_evaluation
 from binpick_env.evaluation.pose import method as pose_method
 from binpick_env.evaluation.pose.ablation import PoseAblationConfig, PoseRow, run_pose_ablation
 from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_pose_scene, evaluate_poses
-from binpick_env.evaluation.pose.judgement import load_pose_scores
 from binpick_env.evaluation.pose.method import PoseMethodConfig
 from binpick_env.evaluation.pose.record import PoseRecord
+from binpick_env.evaluation.pose.scene_score import load_pose_scores
 from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.parts import load_part
 from binpick_env.scenes.synthesis import SceneConfig, make_scene
@@ -248,7 +248,7 @@ def test_a_run_goes_on_and_damaged_records_are_made_again(
     assert record_path(tmp_path, 0).stat().st_mtime_ns == kept
     scores = load_pose_scores(tmp_path, 2, load_part("tee").model)
     assert [score.index for score in scores] == [0, 1]
-    assert all(score.trials.recognised.all() and score.every.right.all() for score in scores)
+    assert all(score.trials.recognised.all() and score.all_poses.correct.all() for score in scores)
     list(evaluate_poses(config(), 1, tmp_path, fresh=True))
     assert record_path(tmp_path, 0).stat().st_mtime_ns > kept
 

@@ -10,9 +10,9 @@ import pytest
 from binpick_env.evaluation.pose.ablation import PoseRow, pose_rows, tabulate_poses
 from binpick_env.evaluation.pose.ablation_table import pose_ablation_table
 from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig
-from binpick_env.evaluation.pose.judgement import PoseScore, worst_first
 from binpick_env.evaluation.pose.method import PoseMethodConfig
 from binpick_env.evaluation.pose.record import PoseRecord
+from binpick_env.evaluation.pose.scene_score import PoseSceneScore, worst_first
 from binpick_env.evaluation.pose.statistics import median, pose_counts, pose_intervals, reliability, resampled_quotients
 from binpick_env.evaluation.pose.summary import PoseSummary, summarise_poses
 from binpick_env.evaluation.pose.table import pose_table, table_three
@@ -26,8 +26,8 @@ CONFIG = PoseEvaluationConfig(scenes=SceneConfig(part="bracket", seed=31))
 TRUE = record().T_cam_parts
 
 
-def judged(scene: PoseRecord, index: int = 0) -> PoseScore:
-    return PoseScore.of(scene, index, bracket())
+def judged(scene: PoseRecord, index: int = 0) -> PoseSceneScore:
+    return PoseSceneScore.from_record(scene, index, bracket())
 
 
 def summary_of(*scenes: PoseRecord, config: PoseEvaluationConfig = CONFIG) -> PoseSummary:
@@ -72,8 +72,8 @@ def test_right_is_a_tenth_of_the_diameter_and_five_degrees(share: float, degrees
     poses[0] = moved(TRUE[0], share, degrees)
     score = judged(record(poses=poses))
     assert score.trials.recognised.tolist() == [right, True, True]
-    assert score.delivered.right.tolist() == [right, True, True, True]
-    assert score.fits.tolist() == [right, True, True, True]
+    assert score.verified.correct.tolist() == [right, True, True, True]
+    assert score.correct.tolist() == [right, True, True, True]
     assert score.trials.translations[0] == pytest.approx(share * bracket().d_max)
     assert np.rad2deg(score.trials.rotations[0]) == pytest.approx(degrees, abs=1e-5)
 
@@ -99,15 +99,15 @@ def test_a_trial_is_about_the_part_that_owns_most_of_the_group() -> None:
 def test_a_group_without_a_pose_is_a_trial_that_failed_and_verification_removes_none() -> None:
     score = judged(record(**estimates(TRUE[1:], [0.8, 0.1, 0.6], [1, 2, 3], [True, False, True])))
     assert score.trials.recognised.tolist() == [False, True, True]
-    assert len(score.delivered.right) == 2
+    assert len(score.verified.correct) == 2
 
 
 def test_only_one_pose_of_a_part_is_right() -> None:
     poses = np.stack([moved(TRUE[0], 0.05), TRUE[0], TRUE[1]])
     score = judged(record(**estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2])))
-    assert score.delivered.right.tolist() == [True, False, True]
-    assert score.delivered.claims.tolist() == [0, 0, 1]
-    assert score.fits.all()
+    assert score.verified.correct.tolist() == [True, False, True]
+    assert score.verified.matched_part.tolist() == [0, 0, 1]
+    assert score.correct.all()
     assert summary_of(record(**estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2]))).precision == pytest.approx(2 / 3)
 
 

@@ -9,10 +9,10 @@ import pytest
 
 from binpick_env.config import CameraConfig
 from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig
-from binpick_env.evaluation.pose.judgement import PoseScore
 from binpick_env.evaluation.pose.pictures import MISSED, RIGHT, WRONG, outline, outlines, pose_panels
 from binpick_env.evaluation.pose.record import PoseRecord
 from binpick_env.evaluation.pose.report import write_pose_report
+from binpick_env.evaluation.pose.scene_score import PoseSceneScore
 from binpick_env.evaluation.pose.summary import summarise_poses
 from binpick_env.evaluation.segmentation.pictures import scene_panels
 from binpick_env.evaluation.segmentation.record import record_path
@@ -68,7 +68,7 @@ def test_outlines_lie_on_the_boundary_points_of_their_parts() -> None:
 
 def test_right_is_green_wrong_is_red_and_missed_is_amber(edges: EdgeAppearances) -> None:
     scene = pictured(1, lost=(0,))
-    picture = outlines(scene, PoseScore.of(scene, 0, bracket()), edges)
+    picture = outlines(scene, PoseSceneScore.from_record(scene, 0, bracket()), edges)
     assert picture.shape == (200, 450, 3)
     pixels = project_points(scene.K, scene.T_cam_parts[:, :3, 3])
     for part, colour in enumerate((MISSED, WRONG, RIGHT, RIGHT)):
@@ -81,7 +81,7 @@ def test_right_is_green_wrong_is_red_and_missed_is_amber(edges: EdgeAppearances)
 
 def test_a_scene_has_its_image_its_groups_and_its_poses(edges: EdgeAppearances) -> None:
     scene = pictured()
-    score = PoseScore.of(scene, 0, bracket())
+    score = PoseSceneScore.from_record(scene, 0, bracket())
     panels = pose_panels(scene, score, edges)
     assert [panel.name for panel in panels] == ["image", "groups", "poses"]
     for panel in panels:
@@ -94,7 +94,7 @@ def test_a_scene_has_its_image_its_groups_and_its_poses(edges: EdgeAppearances) 
 
 def test_groups_are_drawn_as_they_were_predicted_and_true_segments_as_they_are(edges: EdgeAppearances) -> None:
     scene = replace(record(), labels=np.roll(record().labels, 60))  # a group is half of one part and half of another
-    score = PoseScore.of(scene, 0, bracket())
+    score = PoseSceneScore.from_record(scene, 0, bracket())
     expected = {panel.name: panel.data for panel in scene_panels(scene.segmentation())}
     assert expected["prediction"] != expected["truth"]
     (groups,) = pose_panels(scene, score, edges)
@@ -107,7 +107,7 @@ def test_the_report_shows_the_worst_scenes_first(tmp_path: Path, edges: EdgeAppe
     scenes = [pictured(), pictured(0, 1), pictured(0)]
     for index, scene in enumerate(scenes):
         scene.save(record_path(tmp_path, index))
-    scores = [PoseScore.of(scene, k, bracket()) for k, scene in enumerate(scenes)]
+    scores = [PoseSceneScore.from_record(scene, k, bracket()) for k, scene in enumerate(scenes)]
     config = PoseEvaluationConfig(scenes=SceneConfig(part="bracket", seed=31))
     summary = summarise_poses(config, scores, np.random.default_rng(0), 50)
     page = tmp_path / "report.html"

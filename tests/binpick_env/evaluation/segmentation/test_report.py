@@ -52,7 +52,7 @@ def test_the_table_says_where_its_numbers_come_from(judged: tuple[Path, Evaluati
     assert "0.9 to 1.0" in text
     assert max(map(len, text.split("\n"))) < 140
     assert "NOTE  scenes were evaluated by commit old" in segmentation_table(replace(summary, git_commits=["old"]))
-    floor = replace(summary, weights=None, method=MethodConfig(kind="euclidean", radius=0.003).note())
+    floor = replace(summary, weights=None, method=MethodConfig(kind="euclidean", radius=0.003).settings())
     assert "components of radius 3 mm" in segmentation_table(floor)
 
 
