@@ -207,7 +207,7 @@ def _trial(poses: Floats, T_true: Floats | None, part: PartModel) -> tuple[bool,
 
 
 def worst_first(scores: Sequence[PoseSceneScore]) -> list[PoseSceneScore]:
-    """Sort scenes by ascending recall, then by descending number of wrong poses; those with nothing to find are last."""
+    """Sort scenes by ascending recall, then by descending number of wrong poses; recall NaN comes last."""
 
     def order(score: PoseSceneScore) -> tuple[bool, float, int, int]:
         return bool(np.isnan(score.recall)), score.recall, -int((~score.verified.correct).sum()), score.index

@@ -12,7 +12,7 @@ from perception.pose.verification.confidence import ConfidenceConfig
 
 
 def settings_of(path: Path) -> dict[str, object]:
-    values = evaluation._flat(evaluation.PoseEvaluationConfig().note())
+    values = evaluation._flat(evaluation.PoseEvaluationConfig().settings())
     ensure_same_config(path, values, "an evaluation of poses", evaluation.RENAMED)
     return values
 
