@@ -1,4 +1,4 @@
-"""Table 2 of the paper, trained and judged anew: what each idea adds, under one small budget and on the same scenes."""
+"""Ablation of table 2 of the paper: networks trained with one small budget and evaluated on the same scenes."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -32,9 +32,9 @@ from perception.segmentation.training.presets import PRESETS, TrainingConfig
 from perception.segmentation.training.run import WEIGHTS, RunConfig, resume, train
 from perception.segmentation.weights import load_record
 
-TRAINING_SEED, VALIDATION_SEED = 0, 1  # of the scenes that are made here
-THRESHOLDS = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0)  # embedding distances to choose from; the margins are 5 and 10
-RADII = (0.0005, 0.001, 0.0015, 0.002, 0.003, 0.004, 0.006)  # to choose from [m]; two pixels are 0.4 mm apart
+TRAINING_SEED, VALIDATION_SEED = 0, 1  # seeds of the scenes that are generated unless folders are given
+THRESHOLDS = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0)  # candidate embedding distances; the margins are 5 and 10
+RADII = (0.0005, 0.001, 0.0015, 0.002, 0.003, 0.004, 0.006)  # candidate radii [m]; two pixels are 0.4 mm apart
 Report = Callable[[str], object]
 Network = Literal["sgpn", "dgcnn", "focal", "ours"]
 
@@ -44,12 +44,12 @@ class Row:
     """A row of the table.
 
     Attributes:
-        key: Name of its folder.
-        name: For people.
-        network: Whose weights it uses; None if nothing is learned.
+        key: Name of the folder of the row's records.
+        name: Name of the row in the printed table.
+        network: Network whose weights the row uses; None if nothing is learned.
         merging: Whether points are grouped by SGPN's GroupMerging.
-        mask: Whether the distance mask is on.
-        paper: Its AP50 and AP75 in the paper.
+        mask: Whether points farther apart than d_max are prevented from sharing a group.
+        paper: AP50 and AP75 of this row in the paper; None without such a row.
     """
 
     key: str
@@ -60,11 +60,11 @@ class Row:
     paper: tuple[float, float] | None = None
 
     def method(self, weights: Path | None) -> MethodConfig:
-        """Return how the row segments, its threshold or radius still to be chosen."""
+        """Return the segmentation method of the row, with the default grouping distance."""
         if weights is None:
             return MethodConfig(kind="euclidean")
         grouping: Grouping = "merging" if self.merging else "ours"
-        # Neighbourhoods are as dense as in training.
+        # The subset has the size of a training sample, so that neighbourhoods are as dense as in training.
         return MethodConfig(weights=weights, grouping=grouping, mask=self.mask, subset=BUDGET.points)
 
 
@@ -81,34 +81,34 @@ BUDGET = TrainingConfig(batch=4, points=2048)
 
 
 def trainings(budget: TrainingConfig = BUDGET) -> dict[Network, TrainingConfig]:
-    """Return how each network is trained; all share the budget's optimizer, rate, batch, points and average."""
+    """Return the training of each network; all share the budget's optimizer, learning rate, batch, points and EMA."""
     double = PairLossConfig(kind="double_hinge", anchors=256)
     focal = PairLossConfig(kind="focal_double_hinge", anchors=256)
-    mine = PRESETS["ours"]
+    ours = PRESETS["ours"]
     return {
         "sgpn": replace(budget, network=SgpnConfig(trunk="pointnet"), pairs=double),
         "dgcnn": replace(budget, network=SgpnConfig(trunk="dgcnn"), pairs=double),
         "focal": replace(budget, network=SgpnConfig(trunk="dgcnn"), pairs=focal),
         "ours": replace(
-            budget, network=mine.network, pairs=mine.pairs, alpha=mine.alpha, offset_weight=mine.offset_weight
+            budget, network=ours.network, pairs=ours.pairs, alpha=ours.alpha, offset_weight=ours.offset_weight
         ),
     }
 
 
 @dataclass(frozen=True, kw_only=True)
 class AblationConfig:
-    """What the table depends on.
+    """Configuration that the table depends on.
 
     Attributes:
-        scenes: That all rows are judged on.
-        count: How many.
-        training_seeds: Trainings of each network, with seeds 0, 1, ...
-        steps: Of each training.
-        training: Folder of scenes to train on; ``training_scenes`` are made of seed `TRAINING_SEED` without.
-        validation: Folder of scenes to choose thresholds on; ``validation_scenes`` are made without.
-        training_scenes: How many are made.
-        validation_scenes: How many are made.
-        trainings: How each network is trained, its seed aside.
+        scenes: Configuration of the scenes that every row is evaluated on.
+        count: Number of scenes that every row is evaluated on.
+        training_seeds: Number of trainings of each network, with seeds 0, 1, ...
+        steps: Number of steps of each training.
+        training: Folder of scenes to train on; without one they are generated with seed `TRAINING_SEED`.
+        validation: Folder of scenes to choose thresholds on; without one they are generated with `VALIDATION_SEED`.
+        training_scenes: Number of scenes to generate for training.
+        validation_scenes: Number of scenes to generate for validation.
+        trainings: Training of each network; its seed is replaced.
     """
 
     scenes: SceneConfig = field(default_factory=lambda: SceneConfig(part="part_a", seed=7))
@@ -139,43 +139,44 @@ class AblationConfig:
             raise ValueError(f"training and validation scenes are both of seed {seeds[0]}; choose another folder")
 
     def settings(self) -> dict[str, Any]:
-        """Return what may not change between runs into one folder; more scenes or trainings may be asked for."""
+        """Return the settings that must not change between runs into one folder; counts of scenes and trainings may."""
         folders = {"training": self.training, "validation": self.validation}
-        given = {name: None if path is None else str(path) for name, path in folders.items()}
+        paths = {name: None if path is None else str(path) for name, path in folders.items()}
         sizes = {name: getattr(self, name) for name in ("steps", "training_scenes", "validation_scenes")}
-        return {**scene_settings(self.scenes), **given, **sizes, **{k: asdict(v) for k, v in self.trainings.items()}}
+        return {**scene_settings(self.scenes), **paths, **sizes, **{k: asdict(v) for k, v in self.trainings.items()}}
 
 
 def _seed_of(folder: Path, part: str) -> int | None:
-    """Return the seed of a folder of generated scenes of ``part``, if it says so."""
+    """Return the seed of a folder of generated scenes of ``part``; None if it is unknown or of another part."""
     try:
-        note = json.loads((folder / SCENES_NOTE).read_text())
-        return int(note["seed"]) if Path(note["part"]).stem == Path(part).stem else None
+        stored = json.loads((folder / SCENES_NOTE).read_text())
+        return int(stored["seed"]) if Path(stored["part"]).stem == Path(part).stem else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
 def run_ablation(config: AblationConfig, out: Path, workers: int = 1, report: Report | None = None) -> AblationTable:
-    """Train, choose thresholds, judge and tabulate; what lies in ``out`` already is not done again.
+    """Train, choose thresholds, evaluate and tabulate; results that ``out`` holds already are reused.
 
     Args:
-        config: What the table depends on.
-        out: Folder of scenes, weights, choices and records.
-        workers: Processes for scenes and evaluations; a training has this process's cores, or a GPU if there is one.
-        report: Called with a line whenever something else is being done.
+        config: Configuration of the table.
+        out: Folder of scenes, weights, chosen thresholds and records.
+        workers: Number of worker processes for scenes and evaluations. Trainings run in this process, on all its cores
+            or on a GPU.
+        report: Function that is called with a line of text on the progress.
 
     Raises:
-        ValueError: The folder is another ablation's, or there is no such part.
-        FileNotFoundError: A folder that was given holds no scenes.
+        ValueError: The folder holds another ablation, or there is no such part.
+        FileNotFoundError: The folder of training or validation scenes holds no scenes.
         TrainingError: A training diverged.
-        WorkerError: A process was killed.
-        KeyboardInterrupt: A training's state is saved first.
+        WorkerError: A worker process was killed.
+        KeyboardInterrupt: The run was interrupted; the state of the current training is saved.
     """
-    load_part(config.scenes.part, unit=config.scenes.unit)  # what is not there must not claim the folder
+    load_part(config.scenes.part, unit=config.scenes.unit)  # before the folder gets a configuration
     for given in filter(None, (config.training, config.validation)):
         find_scenes([given])
     ensure_same_config(out / "ablation.json", config.settings(), "an ablation")
-    work = _Work(
+    run = _AblationRun(
         config=config,
         out=out,
         workers=workers,
@@ -183,12 +184,12 @@ def run_ablation(config: AblationConfig, out: Path, workers: int = 1, report: Re
         training=_scenes(config, "training", out, workers),
         validation=_scenes(config, "validation", out, workers),
     )
-    rows = [work.judged(row) for row in ROWS]
+    rows = [run.evaluate_row(row) for row in ROWS]
     return tabulate(rows, config.settings(), np.random.default_rng(config.scenes.seed))
 
 
 def _scenes(config: AblationConfig, use: Literal["training", "validation"], out: Path, workers: int) -> list[Path]:
-    """Return the scene files for one use: those of the folder that was given, or made ones."""
+    """Return the scene files for training or validation: those of the given folder, or generated ones."""
     given: Path | None = getattr(config, use)
     if given is not None:
         return find_scenes([given])
@@ -200,8 +201,8 @@ def _scenes(config: AblationConfig, use: Literal["training", "validation"], out:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Work:
-    """One ablation under way: what is read once, and the steps that every row takes."""
+class _AblationRun:
+    """One run of an ablation: scenes that are read once, and the steps for each row."""
 
     config: AblationConfig
     out: Path
@@ -209,35 +210,37 @@ class _Work:
     report: Report
     training: Sequence[Path]
     validation: Sequence[Path]
-    memory: list[PackedScene] = field(default_factory=list)  # the training scenes, once one is trained on
+    packed: list[PackedScene] = field(default_factory=list)  # training scenes, read before the first training
 
-    def judged(self, row: Row) -> RowScores:
-        """Return what all trainings of a row reach."""
+    def evaluate_row(self, row: Row) -> RowScores:
+        """Return the scores of all trainings of a row."""
         scores = RowScores(key=row.key, name=row.name, paper=row.paper)
         for seed in range(self.config.training_seeds if row.network is not None else 1):
-            weights = None if row.network is None else self.trained(row.network, seed)
-            who, folder = f"{row.name}, training {seed}", self.out / "rows" / f"{row.key}-{seed}"
-            self.report(f"{who}: choosing")
-            method, tried = self.chosen(row.method(weights), folder / "choice.json")
+            weights = None if row.network is None else self.train_network(row.network, seed)
+            name, folder = f"{row.name}, training {seed}", self.out / "rows" / f"{row.key}-{seed}"
+            self.report(f"{name}: choosing")
+            method, tried = self.choose_distance(row.method(weights), folder / "choice.json")
             evaluation = EvaluationConfig(scenes=self.config.scenes, method=method)
             done = evaluate_scenes(evaluation, self.config.count, folder, self.workers, pictures=False)
             for k, _ in enumerate(done):
-                self.report(f"{who}: scene {k + 1} of {self.config.count}")
+                self.report(f"{name}: scene {k + 1} of {self.config.count}")
             minutes = None if weights is None else float(load_record(weights)["minutes"])
-            scores = scores.with_training(load_scores(folder, self.config.count), method.distance, tried, minutes)
+            scores = scores.with_training(
+                load_scores(folder, self.config.count), method.grouping_distance, tried, minutes
+            )
         return scores
 
-    def trained(self, network: Network, seed: int) -> Path:
-        """Return the weights of a training, which is done, or gone on with, if they are not there."""
+    def train_network(self, network: Network, seed: int) -> Path:
+        """Return the weights of a training, which is run, or resumed, unless they exist."""
         folder = self.out / "weights" / f"{network}-{seed}"
         if (folder / WEIGHTS).exists():
             return folder / WEIGHTS
-        if not self.memory:
-            self.memory.extend(load_packed(self.training))
+        if not self.packed:
+            self.packed.extend(load_packed(self.training))
         training = replace(self.config.trainings[network], seed=seed)
         device = "cuda" if torch.cuda.is_available() else "cpu"
         length = Length(steps=self.config.steps)
-        trainer = Trainer(training, BatchMaker.of(training, self.memory), length, device)
+        trainer = Trainer(training, BatchMaker.of(training, self.packed), length, device)
         run = RunConfig(out=folder, parts=(Path(self.config.scenes.part).stem,), evaluate_every=np.inf)
         resume(trainer, run)
 
@@ -247,26 +250,31 @@ class _Work:
         train(trainer, [], run, on_step)
         return folder / WEIGHTS
 
-    def chosen(self, method: MethodConfig, note: Path) -> tuple[MethodConfig, dict[str, float]]:
-        """Return the method with the setting of the best AP on validation scenes, and the AP of each that was tried."""
+    def choose_distance(self, method: MethodConfig, path: Path) -> tuple[MethodConfig, dict[str, float]]:
+        """Choose the grouping distance by AP on validation scenes; return the method, and the AP of each distance.
+
+        The choice is written to ``path``, and read from there in later runs with the same weights.
+        """
         digest = method.digest()
-        if note.exists():
-            with suppress(ValueError, KeyError, TypeError):  # a damaged note is written anew
-                kept = json.loads(note.read_text())
-                if kept["weights"] == digest:
-                    return method.with_distance(kept["chosen"]), kept["tried"]
-        settings = RADII if method.kind == "euclidean" else THRESHOLDS
-        judge = partial(_judge_at, method, settings, self.validation)
-        each = list(map_indices(judge, range(len(self.validation)), self.workers))
-        aps = [ap_summary([scene[k] for scene in each]).ap for k in range(len(settings))]
-        best = settings[int(np.argmax(np.nan_to_num(aps)))]
-        tried = {f"{setting:g}": ap for setting, ap in zip(settings, aps, strict=True)}
-        write_atomically(note, json_text({"weights": digest, "chosen": best, "tried": tried}))
-        return method.with_distance(best), tried
+        if path.exists():
+            with suppress(ValueError, KeyError, TypeError):  # a damaged file is replaced
+                stored = json.loads(path.read_text())
+                if stored["weights"] == digest:
+                    return method.with_grouping_distance(stored["chosen"]), stored["tried"]
+        distances = RADII if method.kind == "euclidean" else THRESHOLDS
+        match = partial(_match_scene, method, distances, self.validation)
+        scenes = list(map_indices(match, range(len(self.validation)), self.workers))
+        aps = [ap_summary([scene[k] for scene in scenes]).ap for k in range(len(distances))]
+        best = distances[int(np.argmax(np.nan_to_num(aps)))]
+        tried = {f"{distance:g}": ap for distance, ap in zip(distances, aps, strict=True)}
+        write_atomically(path, json_text({"weights": digest, "chosen": best, "tried": tried}))
+        return method.with_grouping_distance(best), tried
 
 
-def _judge_at(method: MethodConfig, settings: Sequence[float], paths: Sequence[Path], index: int) -> list[SceneMatches]:
-    """Return the verdicts on a validation scene at each setting."""
+def _match_scene(
+    method: MethodConfig, distances: Sequence[float], paths: Sequence[Path], index: int
+) -> list[SceneMatches]:
+    """Segment a validation scene with each grouping distance, and match the instances to its parts."""
     scene = BoundaryScene.load(paths[index])
-    found = segmenter(method).segment_at(settings, scene.boundary, scene.surface, scene.d_max)
+    found = segmenter(method).segment_at(distances, scene.boundary, scene.surface, scene.d_max)
     return [score_scene(scene, instances) for instances in found]

@@ -1,4 +1,4 @@
-"""Rows of an ablation side by side, with intervals over trainings and scenes alike."""
+"""Summary of an ablation: each row's mean over trainings, with intervals over trainings and scenes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +13,7 @@ from perception.metrics.average_precision import percentile_interval, weighted_a
 from perception.runtime.provenance import command_line, git_commit, versions
 
 METRICS = ("ap", "ap50", "ap75", "ap25")
-RESAMPLES = 1000
+RESAMPLES = 1000  # bootstrap resamples
 NOTE = (
     "Scenes are synthetic, with simulated sensor noise, and the trainings are short; the paper trained for 200 epochs "
     "and tested on 20 hand-labelled real scenes of its own Part A, which are not public."
@@ -22,16 +22,16 @@ NOTE = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RowScores:
-    """What a row's trainings reached.
+    """Scores of all trainings of a row.
 
     Attributes:
-        key: Of the row.
-        name: For people.
-        paper: AP50 and AP75 of the same row there.
-        scores: Of each training, of every scene.
-        chosen: Threshold or radius of each training.
-        tried: What it was chosen among, with the AP on validation scenes.
-        minutes: That each training took.
+        key: Key of the row.
+        name: Name of the row in the printed table.
+        paper: AP50 and AP75 of this row in the paper; None without such a row.
+        scores: Scores of all scenes, one sequence for each training.
+        chosen: Grouping distance of each training.
+        tried: AP on validation scenes by grouping distance, for each training.
+        minutes: Duration of each training [min]; None where nothing is learned.
     """
 
     key: str
@@ -45,7 +45,7 @@ class RowScores:
     def with_training(
         self, scores: Sequence[SceneScore], chosen: float, tried: dict[str, float], minutes: float | None
     ) -> "RowScores":
-        """Return the row with another training."""
+        """Return the row with the scores of another training added."""
         return replace(
             self,
             scores=(*self.scores, scores),
@@ -57,20 +57,23 @@ class RowScores:
 
 @dataclass(frozen=True, kw_only=True)
 class RowResult:
-    """A row's numbers: means over its trainings, each with a 95 % interval over trainings and scenes.
+    """Numbers of a row: means over its trainings, with 95 % intervals over trainings and scenes.
 
     Attributes:
-        key: Of the row.
-        name: For people.
-        ap: Mean over the trainings. Likewise ap50, ap75 and ap25.
-        intervals: Of these four.
-        gain: Difference to the row above, (value, low, high) of each; None in the first row.
-        each: The four numbers of each training.
-        chosen: Threshold (embedding distance) or radius [m] of each training, from validation scenes.
-        tried: What it was chosen among, with the AP on validation scenes.
-        minutes: That each training took; None where nothing is learned.
-        ms_per_scene: Median wall clock from a frame to labelled points [ms].
-        paper: AP50 and AP75 of the same row there, on real scenes.
+        key: Key of the row.
+        name: Name of the row in the printed table.
+        ap: Mean average precision over IoU 0.50, 0.55 ... 0.90.
+        ap50: Average precision at an IoU of 0.5.
+        ap75: Average precision at an IoU of 0.75.
+        ap25: Average precision at an IoU of 0.25.
+        intervals: 95 % intervals of ap, ap50, ap75 and ap25.
+        gain: Difference of each to the row above, (value, low, high); None in the first row.
+        each: ap, ap50, ap75 and ap25 of each training.
+        chosen: Embedding threshold or radius [m] of each training, chosen by AP on validation scenes.
+        tried: AP on validation scenes by threshold or radius, for each training.
+        minutes: Duration of each training [min]; None where nothing is learned.
+        ms_per_scene: Median time from a frame to labelled points [ms].
+        paper: AP50 and AP75 of this row in the paper, on real scenes; None without such a row.
     """
 
     key: str
@@ -91,18 +94,18 @@ class RowResult:
 
 @dataclass(frozen=True, kw_only=True)
 class AblationTable:
-    """All rows.
+    """All rows of an ablation.
 
     Attributes:
-        rows: In the table's order.
-        scenes: That every row was judged on.
-        trainings: Of each learned row.
-        threads: That a scene was computed on.
-        config: What the table depends on.
-        note: How far paper and table can be compared.
-        command: Command line of the process that summed up.
-        git_commits: Of the code that judged the scenes, and of this process.
-        versions: Python, platform and packages.
+        rows: Rows in the order of the table.
+        scenes: Number of scenes that every row was evaluated on.
+        trainings: Number of trainings of each learned row.
+        threads: Numbers of threads that scenes were computed on.
+        config: All settings that the table depends on.
+        note: How far these numbers and the paper's can be compared.
+        command: Command line of the process that made the table.
+        git_commits: Commits of the code that made the records and the table.
+        versions: Versions of Python, platform and packages.
     """
 
     rows: list[RowResult]
@@ -119,13 +122,13 @@ class AblationTable:
 def tabulate(
     rows: Sequence[RowScores], config: dict[str, Any], rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> AblationTable:
-    """Sum up rows that were judged on the same scenes.
+    """Tabulate rows that were evaluated on the same scenes.
 
     Args:
-        rows: In the table's order.
-        config: To be kept with the table.
-        rng: The intervals' chance.
-        resamples: Of the bootstrap: scenes are drawn, the same for all rows, and of each row trainings.
+        rows: Scores of each row, in the order of the table.
+        config: All settings that the table depends on.
+        rng: Random generator of the bootstrap.
+        resamples: Number of bootstrap resamples; all rows share the drawn scenes, and each row's trainings are drawn.
 
     Raises:
         ValueError: There is no row, or a row has no training.
@@ -154,7 +157,7 @@ def tabulate(
 
 
 def _resampled(row: RowScores, weights: Floats, draws: NDArray[np.int64]) -> Floats:
-    """Return the (R, 4) means over (R, K) drawn trainings, scenes counting (R, S) ``weights`` times."""
+    """Return (R, 4) means over the (R, K) drawn trainings, with scenes weighted by (R, S) ``weights``."""
     values = np.stack([_ap(scores, weights) for scores in row.scores])
     drawn: Floats = values[draws, np.arange(len(weights))[:, None]].mean(axis=1)
     return drawn

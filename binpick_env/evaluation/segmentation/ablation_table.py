@@ -1,4 +1,4 @@
-"""An ablation as plain text, for the terminal."""
+"""Ablation of the segmentation as plain text."""
 
 import textwrap
 from collections.abc import Sequence
@@ -7,11 +7,11 @@ from binpick_env.evaluation.segmentation.ablation_summary import AblationTable, 
 from binpick_env.evaluation.segmentation.table import bounds, share
 from binpick_env.jobs.text_tables import columns
 
-_WIDE = 100
+_WIDE = 100  # width of the table [characters]
 
 
 def ablation_table(table: AblationTable) -> str:
-    """Return the table that ends an ablation."""
+    """Return the table that an ablation prints."""
     config = table.config
     title = (
         f"{config['part']} · sensor {config['sensor']} · {table.scenes} scenes · seed {config['seed']} · "

@@ -1,4 +1,4 @@
-"""Ways to segment a frame's boundary points behind one door, so that the same evaluation judges all of them."""
+"""Segmentation methods behind one interface, so that one evaluation compares all of them."""
 
 import hashlib
 from collections.abc import Sequence
@@ -26,19 +26,19 @@ Grouping = Literal["ours", "merging"]
 
 @dataclass(frozen=True, kw_only=True)
 class MethodConfig:
-    """How boundary points become instances.
+    """Method that turns boundary points into instances.
 
     Attributes:
-        kind: A trained network, or the floor: components of points that lie close together.
-        weights: The network's ``.safetensors`` file.
-        grouping: Of the network's embedding: ``group_points`` over all points, or SGPN's GroupMerging on one random
-            subset, whose labels every other point takes from its nearest neighbour in it.
-        mask: Whether points farther apart than d_max are kept from being one group.
-        threshold: Embedding distance of one group; the grouping's own default unless given.
-        radius: Distance of linked points under ``euclidean`` [m].
-        min_points: Smallest component under ``euclidean``.
-        subset: Points that a network over point sets sees at once, and that ``merging`` groups.
-        seed: Of the subsets.
+        kind: "network" for a trained network, or "euclidean" for the baseline: components of points close together.
+        weights: ``.safetensors`` file of the network.
+        grouping: "ours" groups all points in the network's embedding (``group_points``). "merging" applies SGPN's
+            GroupMerging to one random subset; every other point takes the label of its nearest neighbour in the subset.
+        mask: Whether points farther apart than d_max are prevented from sharing a group.
+        threshold: Largest embedding distance within a group; the default of the grouping unless given.
+        radius: Largest distance of linked points under "euclidean" [m].
+        min_points: Smallest number of points of a component under "euclidean".
+        subset: Number of points that a network over point sets processes at once, and that "merging" groups.
+        seed: Seed of the random subsets.
     """
 
     kind: SegmentationKind = "network"
@@ -64,37 +64,37 @@ class MethodConfig:
             raise ValueError(f"threshold must be positive, got {self.threshold}")
 
     @property
-    def setting(self) -> float:
-        """The threshold, or the radius of ``euclidean``: what has to be chosen."""
+    def grouping_distance(self) -> float:
+        """Distance below which points share a group: the embedding threshold, or the radius of "euclidean" [m]."""
         if self.kind == "euclidean":
             return self.radius
         default = GroupMergingConfig if self.grouping == "merging" else GroupingConfig
         return default().threshold if self.threshold is None else self.threshold
 
-    def at(self, setting: float) -> "MethodConfig":
-        """Return the same method with another :attr:`setting`."""
-        return replace(self, radius=setting) if self.kind == "euclidean" else replace(self, threshold=setting)
+    def with_grouping_distance(self, distance: float) -> "MethodConfig":
+        """Return the same method with another :attr:`grouping_distance`."""
+        return replace(self, radius=distance) if self.kind == "euclidean" else replace(self, threshold=distance)
 
     def settings(self) -> dict[str, Any]:
-        """Return the settings as plain values; weights count by their content, wherever they lie."""
+        """Return the settings as a dict; weights are represented by their SHA-256, whatever their path."""
         return {**asdict(self), "weights": self.digest()}
 
     def digest(self) -> str | None:
-        """Return the weights' SHA-256; None without any."""
+        """Return the SHA-256 of the weights; None without weights."""
         return None if self.weights is None else hashlib.sha256(self.weights.read_bytes()).hexdigest()
 
 
 class Segmenter:
-    """A method with its network loaded."""
+    """Segmentation method with its network loaded."""
 
     def __init__(self, config: MethodConfig) -> None:
         """Load the weights, if the method has any.
 
         Raises:
-            WeightsError: They do not hold a whole network.
+            WeightsError: The weights file does not hold a complete network.
         """
         self.config = config
-        self.warm = False  # whether it has segmented anything: the first time is slower
+        self.warm = False  # whether it has segmented a frame: the first one takes longer
         self._predictor: SegmentationPredictor | None = None
         self._distance: Distance = "l2"
         if config.kind == "network" and config.weights is not None:
@@ -102,39 +102,47 @@ class Segmenter:
             self._predictor = SegmentationPredictor.from_file(config.weights, self._predictor_config(config.threshold))
 
     def segment(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> list[Instance]:
-        """Return the instances, best first; see :meth:`SegmentationPredictor.predict`."""
+        """Return the instances by descending score; see :meth:`SegmentationPredictor.predict`."""
         if self._predictor is not None and self.config.grouping == "ours":
             return self._predictor.predict(boundary, surface, d_max)
-        return self.segment_at((self.config.distance,), boundary, surface, d_max)[0]
+        return self.segment_at((self.config.grouping_distance,), boundary, surface, d_max)[0]
 
     def segment_at(
-        self, settings: Sequence[float], boundary: BoundaryCloud, surface: Surface, d_max: float
+        self, distances: Sequence[float], boundary: BoundaryCloud, surface: Surface, d_max: float
     ) -> list[list[Instance]]:
-        """Return the instances at each of ``settings`` (see :attr:`MethodConfig.distance`); the network runs once."""
+        """Return the instances for each :attr:`MethodConfig.grouping_distance`; the network runs once."""
         config, points = self.config, boundary.points_cam
         if len(boundary) == 0:
-            return [[] for _ in settings]
+            return [[] for _ in distances]
         if self._predictor is None:
-            return [euclidean_components(points, radius, config.min_points) for radius in settings]
+            return [euclidean_components(points, radius, config.min_points) for radius in distances]
         if config.grouping == "ours":
-            said = self._predictor.describe(boundary, surface, d_max)
-            return [self._grouped(said, boundary, d_max, threshold) for threshold in settings]
+            predictions = self._predictor.describe(boundary, surface, d_max)
+            return [self._grouped(predictions, boundary, d_max, threshold) for threshold in distances]
         chosen = np.random.default_rng(config.seed).permutation(len(boundary))[: config.subset]
-        said = self._predictor.describe(boundary.only(chosen), surface, d_max)
-        return [self._merged(said, boundary, chosen, d_max, threshold) for threshold in settings]
+        predictions = self._predictor.describe(boundary.only(chosen), surface, d_max)
+        return [self._merged(predictions, boundary, chosen, d_max, threshold) for threshold in distances]
 
-    def _grouped(self, said: PointPredictions, boundary: BoundaryCloud, d_max: float, t: float) -> list[Instance]:
-        grouping = self._predictor_config(t).grouping
-        groups = group_points(said.embedding, said.confidence, boundary.points_cam, d_max, grouping)
+    def _grouped(
+        self, predictions: PointPredictions, boundary: BoundaryCloud, d_max: float, threshold: float
+    ) -> list[Instance]:
+        grouping = self._predictor_config(threshold).grouping
+        groups = group_points(predictions.embedding, predictions.confidence, boundary.points_cam, d_max, grouping)
         return instances_of(groups.labels, groups.scores)
 
     def _merged(
-        self, said: PointPredictions, boundary: BoundaryCloud, chosen: NDArray[np.int64], d_max: float, t: float
+        self,
+        predictions: PointPredictions,
+        boundary: BoundaryCloud,
+        chosen: NDArray[np.int64],
+        d_max: float,
+        threshold: float,
     ) -> list[Instance]:
-        merging = GroupMergingConfig(threshold=t, distance=self._distance)
+        """Group the predictions of the ``chosen`` points, and propagate the labels to all points."""
+        merging = GroupMergingConfig(threshold=threshold, distance=self._distance)
         points = boundary.points_cam
-        reach = d_max if self.config.mask else None
-        groups = merge_groups(said.embedding, said.confidence, points[chosen], merging, d_max=reach)
+        limit = d_max if self.config.mask else None
+        groups = merge_groups(predictions.embedding, predictions.confidence, points[chosen], merging, d_max=limit)
         return instances_of(propagate_labels(points, chosen, groups.labels), groups.scores)
 
     def _predictor_config(self, threshold: float | None) -> PredictorConfig:
@@ -145,7 +153,7 @@ class Segmenter:
 
 
 def segmenter(config: MethodConfig) -> Segmenter:
-    """Return the method, kept from call to call as long as settings and weights stay what they are."""
+    """Return the loaded method; it is cached until settings or weights change."""
     return _loaded(config, config.digest())
 
 
@@ -155,6 +163,6 @@ def _loaded(config: MethodConfig, digest: str | None) -> Segmenter:  # noqa: ARG
 
 
 def trained_distance(record: dict[str, Any]) -> Distance:
-    """Return the embedding distance that weights were trained with, by the JSON beside them."""
+    """Return the embedding distance that a network was trained with, by the record of its weights."""
     training = record.get("training") or {}
     return "scaled_square" if training.get("pairs", {}).get("distance") == "scaled_square" else "l2"

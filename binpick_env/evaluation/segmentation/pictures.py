@@ -1,4 +1,4 @@
-"""A scene's image, boundary points, truth and prediction, in colours that say which prediction is which part."""
+"""Pictures of a scene: image, boundary points, truth and prediction; a prediction has the colour of its part."""
 
 import colorsys
 from typing import NamedTuple
@@ -11,8 +11,8 @@ from binpick_env.evaluation.segmentation.record import SceneRecord
 from perception.metrics.matching import instance_ious
 from perception.segmentation.scoring import COUNTED_FROM
 
-WIDTH = 640  # of a picture at most [px]
-MATCHED = 0.5  # IoU over which a prediction is a part's: at most one can be
+WIDTH = 640  # largest width of a picture [px]
+MATCHED = 0.5  # IoU over which a prediction matches a part; at most one prediction of a part can exceed it
 JPEG_QUALITY = 80
 Colours = NDArray[np.uint8]
 
@@ -24,13 +24,13 @@ _STRIPE = 6  # width of a stripe [px]
 class Panel(NamedTuple):
     """One encoded picture of a scene."""
 
-    name: str
-    kind: str
-    data: bytes
+    name: str  # title of the picture
+    kind: str  # "jpeg" or "png"
+    data: bytes  # content of the file
 
 
 def scene_panels(record: SceneRecord) -> list[Panel]:
-    """Return image (where one was kept), boundary points, truth and prediction."""
+    """Return panels of the image (if the record has one), the boundary points, the truth and the prediction."""
     truth, prediction = truth_colours(record), prediction_colours(record)
     points = np.full((len(record.labels), 3), _POINT, np.uint8)
     panels = [
@@ -45,7 +45,7 @@ def scene_panels(record: SceneRecord) -> list[Panel]:
 
 
 def side_by_side(record: SceneRecord) -> Colours:
-    """Return image, truth and prediction in a row, (h, w, 3) RGB; the image is left out where none was kept."""
+    """Return one (h, w, 3) RGB picture: image (if the record has one), truth and prediction in a row."""
     pictures = [_scatter(record, colours) for colours in (truth_colours(record), prediction_colours(record))]
     if record.picture.size:
         size = (pictures[0].shape[1], pictures[0].shape[0])
@@ -55,17 +55,18 @@ def side_by_side(record: SceneRecord) -> Colours:
 
 
 def truth_colours(record: SceneRecord) -> Colours:
-    """Return (N, 3) BGR: a colour for each part that counts, grey for the others and the container."""
+    """Return (N, 3) BGR colours of the points: one for each counted part, grey for other parts and the container."""
     table = np.vstack([part_colours(len(record.visible_fractions)), [_UNCOUNTED]]).astype(np.uint8)
     table[:-1][record.visible_fractions < COUNTED_FROM] = _UNCOUNTED
     return table[record.instance_ids]
 
 
 def prediction_colours(record: SceneRecord) -> Colours:
-    """Return (N, 3) BGR: the matched part's colour, red and white stripes for no part's, grey for unlabelled points.
+    """Return (N, 3) BGR colours of the points by the predicted instance that they belong to.
 
-    A prediction is a part's if their IoU exceeds `MATCHED`. One that lies mostly on the container, or on a part that
-    does not count, is grey like those.
+    An instance has the colour of the part that it matches with an IoU over `MATCHED`, or red and white stripes without
+    such a part. It is grey if it matches an uncounted part, or lies mostly on the container or on uncounted parts.
+    Points without an instance are grey.
     """
     truth, instances = record.truth(), record.instances()
     ious = instance_ious(truth, instances)
@@ -84,14 +85,14 @@ def prediction_colours(record: SceneRecord) -> Colours:
 
 
 def part_colours(count: int) -> Colours:
-    """Return (count, 3) BGR colours, neighbours far apart in hue; none is the red of wrong predictions."""
+    """Return (count, 3) BGR colours; successive hues are far apart, and none is the red of wrong predictions."""
     hues = (0.08 + 0.84 * (0.618034 * k % 1.0) for k in range(count))
     values = [colorsys.hsv_to_rgb(hue, (0.55, 0.8)[k % 2], 1.0)[::-1] for k, hue in enumerate(hues)]
     return (255 * np.array(values).reshape(-1, 3)).astype(np.uint8)
 
 
 def _scatter(record: SceneRecord, colours: Colours) -> Colours:
-    """Draw one dot a point."""
+    """Draw each point as one pixel on a dark background."""
     step = _step(record)
     origin, size = _extent(record)
     picture = np.full((-(-size[1] // step), -(-size[0] // step), 3), _PAPER, np.uint8)
@@ -101,12 +102,12 @@ def _scatter(record: SceneRecord, colours: Colours) -> Colours:
 
 
 def _step(record: SceneRecord) -> int:
-    """Return how many of the camera's pixels are one of a picture."""
+    """Return the number of camera pixels per pixel of a picture."""
     return max(1, -(-_extent(record)[1][0] // WIDTH))
 
 
 def _extent(record: SceneRecord) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """Return the first (u, v) that is shown, and width and height."""
+    """Return the first pixel (u, v) that is shown, and width and height in camera pixels."""
     if record.picture.size:
         height, width = record.picture.shape
         return np.array(record.corner), (width, height)

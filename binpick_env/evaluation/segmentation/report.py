@@ -1,4 +1,4 @@
-"""``report.html`` of a segmentation: the numbers, precision against recall, and the scenes, worst first."""
+"""``report.html`` of an evaluation of segmentation: numbers, precision-recall curves, and scenes, the worst first."""
 
 from collections.abc import Sequence
 from html import escape
@@ -15,7 +15,7 @@ from binpick_env.jobs.text_tables import number, percent
 from perception.metrics.average_precision import precision_recall
 from perception.runtime.files import write_atomically
 
-CURVE_POINTS = 400  # of a curve that are drawn
+CURVE_POINTS = 400  # largest number of points that a curve is drawn with
 _LEGEND = (
     "Scenes in the order of their own AP, the worst first. A prediction has the colour of the part that it fits with "
     "an IoU over 0.5; one that fits no part is striped red and white. Grey: the container, parts under 0.1 visible, "
@@ -26,17 +26,17 @@ _LEGEND = (
 def write_report(
     path: Path, summary: SegmentationSummary, scores: Sequence[SceneScore], folder: Path, gallery: int
 ) -> None:
-    """Write the page in one piece, its pictures inside.
+    """Write the report atomically, with its pictures inside.
 
     Args:
-        path: Of the HTML file.
-        summary: The numbers.
-        scores: Of all scenes.
-        folder: Where the records lie.
-        gallery: Scenes that are shown at most.
+        path: HTML file.
+        summary: Summary of the evaluation.
+        scores: Score of each scene.
+        folder: Folder of the scenes' records.
+        gallery: Largest number of scenes to show.
 
     Raises:
-        RecordError: A record that is shown is missing or damaged.
+        RecordError: The record of a shown scene is missing or damaged.
     """
     part = Path(summary.part).name
     facts = f"{summary.scenes} scenes · {method_name(summary)} · sensor {summary.sensor} · seed {summary.seed}"
@@ -51,7 +51,7 @@ def write_report(
 
 
 def worst_first(scores: Sequence[SceneScore]) -> list[SceneScore]:
-    """Return the scenes by ascending AP; those without a part to find come last."""
+    """Sort scenes by ascending AP; those without a part to find come last."""
     return sorted(scores, key=lambda score: (bool(np.isnan(score.ap)), score.ap, score.index))
 
 

@@ -27,20 +27,20 @@ NOTE = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneScore:
-    """What is needed of a record beside its points.
+    """Scores of a scene's predicted instances.
 
     Attributes:
-        index: Of the scene.
-        matches: Verdicts on the prediction.
-        bands: The same where only the parts of one of `BANDS` count.
-        ap: Of the scene alone; NaN without a part to find.
-        points: Boundary points.
-        wrong_side: Of these, on the wrong side of a contour.
-        contour: Of these, at contours.
-        clutter: How hidden the parts are.
-        ms: Wall clock by stage [ms].
-        threads: That computed.
-        git_commit: Of the code that made the record.
+        index: Index of the scene.
+        matches: Predicted instances matched to the parts.
+        bands: Matches where only the parts of one band of `BANDS` count, one entry for each band.
+        ap: Average precision of this scene alone; NaN without a part to find.
+        points: Number of boundary points.
+        wrong_side: Number of boundary points on the wrong side of a contour.
+        contour: Number of boundary points at contours.
+        clutter: Statistics of the visible fractions.
+        ms: Wall clock of each stage [ms].
+        threads: Number of threads that computed the scene.
+        git_commit: Commit of the code that made the record.
     """
 
     index: int
@@ -56,8 +56,8 @@ class SceneScore:
     git_commit: str
 
     @classmethod
-    def of(cls, record: SceneRecord, index: int) -> "SceneScore":
-        """Judge a record."""
+    def from_record(cls, record: SceneRecord, index: int) -> "SceneScore":
+        """Score the record of scene ``index``."""
         matches = record.matches()
         return cls(
             index=index,
@@ -76,15 +76,18 @@ class SceneScore:
 
 @dataclass(frozen=True, kw_only=True)
 class BandSummary:
-    """The parts of one band of visible fractions; predictions on parts outside it are neither right nor wrong.
+    """Numbers of the parts in one band of visible fractions; predictions on parts outside it are ignored.
 
     Attributes:
-        low: Smallest visible fraction.
-        high: First beyond the band.
-        parts: To be found.
-        ap: As for all parts; NaN without a part. Likewise ap50, ap75 and ap25.
-        found50: Share of the parts that a prediction fits with an IoU over 0.5, whatever its score.
-        found75: Likewise over 0.75.
+        low: Lower limit of the visible fraction, inclusive.
+        high: Upper limit of the visible fraction, exclusive below 1.
+        parts: Number of parts to find in the band.
+        ap: Mean average precision over IoU 0.50, 0.55 ... 0.90; NaN without a part.
+        ap50: Average precision at an IoU of 0.5; NaN without a part.
+        ap75: Average precision at an IoU of 0.75; NaN without a part.
+        ap25: Average precision at an IoU of 0.25; NaN without a part.
+        found50: Share of the parts that some prediction matches with an IoU over 0.5, whatever its score.
+        found75: Share of the parts that some prediction matches with an IoU over 0.75, whatever its score.
     """
 
     low: float
@@ -100,31 +103,36 @@ class BandSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentationSummary:
-    """An evaluation's numbers. APs are ScanNet's, over parts visible to 0.1 or more; NaN without a part to find.
+    """Numbers of an evaluation. AP is ScanNet's, over parts with a visible fraction of at least 0.1.
 
     Attributes:
-        ap: Mean over IoU .50, .55 ... .90. ap50, ap75 and ap25 are those at one IoU.
-        intervals: 95 % of the four, percentile bootstrap over scenes.
-        ms_per_scene: Median wall clock from a frame to labelled points [ms].
-        ms: Its stages' medians: boundary, surface, segmentation (network and grouping), total.
-        threads: That a scene was computed on.
-        by_visible_fraction: The same by band.
-        clutter: median (mean of the scenes' medians), below_half and above_nine_tenths (shares of all parts), parts.
+        ap: Mean average precision over IoU 0.50, 0.55 ... 0.90; NaN without a part to find.
+        ap50: Average precision at an IoU of 0.5; NaN without a part to find.
+        ap75: Average precision at an IoU of 0.75; NaN without a part to find.
+        ap25: Average precision at an IoU of 0.25; NaN without a part to find.
+        intervals: 95 % intervals of the four, by percentile bootstrap over scenes.
+        ms_per_scene: Median time from a frame to labelled points [ms].
+        ms: Median time of each stage [ms]: boundary, surface, segmentation (network and grouping), total.
+        threads: Numbers of threads that scenes were computed on.
+        by_visible_fraction: Numbers by band of visible fractions.
+        clutter: Median visible fraction (mean of the scenes' medians), shares of parts below 0.5 and above 0.9, and the
+            number of parts.
         scenes: Number of scenes.
         points_per_scene: Median number of boundary points, all of which are labelled and scored.
         wrong_side: Share of all boundary points that lie on the wrong side of a contour.
-        wrong_side_at_contours: Share of those at contours that do.
-        part: What was in the bins.
-        sensor: The depth camera's noise.
-        seed: Of the scenes.
-        method: How points became instances.
-        weights: path, sha256 and, of their training: git_commit, parts, steps, minutes, scenes; None without a network.
-        paper: What the paper reports.
-        note: How far the two can be compared.
+        wrong_side_at_contours: Share of the boundary points at contours that lie on the wrong side.
+        part: Part in the bins.
+        sensor: Preset of the depth sensor's noise.
+        seed: Seed of the scenes.
+        method: Settings of the segmentation method.
+        weights: Path and SHA-256 of the weights, with commit, parts, steps, minutes and scenes of their training; None
+            without a network.
+        paper: AP50 and AP75 that the paper reports.
+        note: How far these numbers and the paper's can be compared.
         config: All settings.
-        command: Command line of the process that summed up.
-        git_commits: Of the code that made the records; more than one if the code changed between them.
-        versions: Python, platform and packages.
+        command: Command line of the process that computed the summary.
+        git_commits: Commits of the code that made the records; several if the code changed between them.
+        versions: Versions of Python, platform and packages.
     """
 
     ap: float
@@ -155,10 +163,14 @@ class SegmentationSummary:
 
 
 def load_scores(folder: Path, count: int) -> list[SceneScore]:
-    """Judge the records of scenes 0 to ``count - 1``.
+    """Load and score the records of scenes 0 to ``count - 1``.
+
+    Args:
+        folder: Folder of the records.
+        count: Number of scenes.
 
     Raises:
-        RecordError: One is missing or damaged.
+        RecordError: A record is missing or damaged.
     """
     return [SceneScore.from_record(SceneRecord.load(record_path(folder, index)), index) for index in range(count)]
 
@@ -166,13 +178,13 @@ def load_scores(folder: Path, count: int) -> list[SceneScore]:
 def summarise(
     config: EvaluationConfig, scores: Sequence[SceneScore], rng: np.random.Generator, resamples: int = 1000
 ) -> SegmentationSummary:
-    """Sum scenes up.
+    """Summarise the scores of all scenes.
 
     Args:
-        config: That their records are of.
-        scores: Of all scenes.
-        rng: The intervals' chance.
-        resamples: Of the bootstrap.
+        config: Configuration of the evaluation.
+        scores: Score of each scene.
+        rng: Random generator of the bootstrap.
+        resamples: Number of bootstrap resamples.
 
     Raises:
         ValueError: There is no scene.
@@ -212,12 +224,12 @@ def summarise(
 
 
 def save_summary(path: Path, summary: Any) -> None:
-    """Write a dataclass as JSON, in one piece."""
+    """Write a summary, which is a dataclass, as JSON; the file is replaced atomically."""
     write_atomically(path, json_text(asdict(summary)))
 
 
 def weights_provenance(method: MethodConfig) -> dict[str, Any] | None:
-    """Return where a method's weights come from; None if it has none."""
+    """Return path, SHA-256 and training of a method's weights; None without weights."""
     if method.weights is None:
         return None
     record = load_record(method.weights)

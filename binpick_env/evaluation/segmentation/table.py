@@ -1,4 +1,4 @@
-"""A segmentation's numbers as plain text, for the terminal."""
+"""Summary of an evaluation of segmentation as plain text."""
 
 import textwrap
 from pathlib import Path
@@ -13,7 +13,7 @@ METRICS = ("ap", "ap50", "ap75", "ap25")
 
 
 def segmentation_table(summary: SegmentationSummary) -> str:
-    """Return the table that ends an evaluation."""
+    """Return the table that an evaluation prints."""
     rule = "─" * WIDTH
     facts = (summary.part, method_name(summary), f"sensor {summary.sensor}", f"{summary.scenes} scenes")
     lines = [" · ".join([*facts, f"seed {summary.seed}"]), "═" * WIDTH, *_headline(summary), rule]
@@ -26,14 +26,14 @@ def segmentation_table(summary: SegmentationSummary) -> str:
 
 
 def method_name(summary: SegmentationSummary) -> str:
-    """Return what made the prediction, in a few words."""
+    """Return a short name of the method: the file of its weights, or its radius."""
     if summary.weights is None:
         return f"components of radius {1000 * summary.method['radius']:g} mm"
     return Path(summary.weights["path"]).name
 
 
 def band_rows(summary: SegmentationSummary) -> list[tuple[str, ...]]:
-    """Return the table by visible fraction, its header first."""
+    """Return the header and rows of the table by visible fraction."""
     rows: list[tuple[str, ...]] = [("visible", "parts", "AP", "AP50", "AP75", "AP25", "IoU > .5", "IoU > .75")]
     for band in summary.by_visible_fraction:
         shares = [share(getattr(band, name)) for name in (*METRICS, "found50", "found75")]
@@ -42,12 +42,12 @@ def band_rows(summary: SegmentationSummary) -> list[tuple[str, ...]]:
 
 
 def share(value: float) -> str:
-    """Return a share in per cent without the sign, or a dash for NaN."""
+    """Return a fraction in per cent without the unit, or a dash for NaN."""
     return "–" if np.isnan(value) else f"{100 * value:.1f}"
 
 
 def bounds(interval: tuple[float, float]) -> str:
-    """Return an interval in per cent, or a dash for NaN."""
+    """Return an interval in per cent without the unit, or a dash for NaN."""
     return "–" if np.isnan(interval[0]) else f"{share(interval[0])} to {share(interval[1])}"
 
 

@@ -174,7 +174,7 @@ def test_another_evaluations_folder_is_refused(tmp_path: Path, config: Evaluatio
     with pytest.raises(ValueError, match=text):
         next(evaluate_scenes(other, 1, tmp_path))
     with pytest.raises(ValueError, match=r"another configuration \(method: .*'threshold': 3.0"):
-        next(evaluate_scenes(replace(config, method=config.method.with_distance(3.0)), 1, tmp_path))
+        next(evaluate_scenes(replace(config, method=config.method.with_grouping_distance(3.0)), 1, tmp_path))
 
 
 def test_what_cannot_be_done_claims_no_folder(tmp_path: Path, config: EvaluationConfig) -> None:

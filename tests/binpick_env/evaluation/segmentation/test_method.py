@@ -64,10 +64,12 @@ def test_settings_are_tried_at_once(weights: Path) -> None:
     ):
         together = Segmenter(method).segment_at(settings, scene.boundary, scene.surface, scene.d_max)
         for setting, instances in zip(settings, together, strict=True):
-            assert method.with_distance(setting).distance == setting
-            alone = Segmenter(method.with_distance(setting)).segment(scene.boundary, scene.surface, scene.d_max)
+            assert method.with_grouping_distance(setting).grouping_distance == setting
+            alone = Segmenter(method.with_grouping_distance(setting)).segment(
+                scene.boundary, scene.surface, scene.d_max
+            )
             assert [i.point_idx.tolist() for i in alone] == [i.point_idx.tolist() for i in instances]
-    assert MethodConfig(weights=weights).distance == 9.0
+    assert MethodConfig(weights=weights).grouping_distance == 9.0
 
 
 def test_a_network_is_kept_until_its_weights_change(tmp_path: Path) -> None:
