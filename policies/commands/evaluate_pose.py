@@ -107,8 +107,8 @@ def _evaluation(args: Arguments) -> str:
     from tqdm import tqdm
 
     from binpick_env.evaluation.pose.evaluation import evaluate_poses
-    from binpick_env.evaluation.pose.scene_score import load_pose_scores
     from binpick_env.evaluation.pose.report import write_pose_report
+    from binpick_env.evaluation.pose.scene_score import load_pose_scores
     from binpick_env.evaluation.pose.summary import summarise_poses
     from binpick_env.evaluation.pose.table import pose_table, table_three
     from binpick_env.evaluation.segmentation.summary import save_summary

@@ -64,9 +64,9 @@ def _poses(part: str, seed: int) -> "NDArray[np.uint8]":
     import numpy as np
 
     from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig, evaluate_pose_scene
-    from binpick_env.evaluation.pose.scene_score import PoseSceneScore
     from binpick_env.evaluation.pose.method import PoseMethodConfig
     from binpick_env.evaluation.pose.pictures import outlines
+    from binpick_env.evaluation.pose.scene_score import PoseSceneScore
     from binpick_env.parts import load_part
     from binpick_env.scenes.synthesis import SceneConfig
     from perception.pose.model.appearances import edge_appearances
