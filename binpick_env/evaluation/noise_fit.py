@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from binpick_env.config import SensorPreset
 from binpick_env.env import BinPickEnv
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
 from binpick_env.observation.perception_noise import NOISE_VERSION, NoiseBin, PerceptionNoise, Spread
+from binpick_env.options import CellOptions
 from perception.metrics.pose_error import is_recognised, pose_error
 from perception.runtime.files import json_text, write_atomically
 
@@ -91,19 +91,18 @@ def compare_with_truth(view: LabelledCapture, observed: ObservedCandidates) -> F
 
 
 def observe_bins(
-    part: str, bins: int, seed: int, *, sensor: SensorPreset, num_parts: tuple[int, int], workers: int = 1
+    options: CellOptions, bins: int, seed: int, *, num_parts: tuple[int, int], workers: int = 1
 ) -> list[FrameObservation]:
     """Run the learned perceiver once on each of many settled bins.
 
     Args:
-        part: Catalogue name of a part that has network weights.
+        options: Part, which needs network weights, bin, camera and sensor.
         bins: Number of bins.
         seed: Seed of all bins; bin i is drawn from (seed, i).
-        sensor: Preset of the depth sensor's noise.
         num_parts: Smallest and largest number of parts in a bin; small numbers represent bins that are nearly empty.
         workers: Number of worker processes.
     """
-    observe = partial(_observe_bin, part, sensor, num_parts, seed)
+    observe = partial(_observe_bin, options, num_parts, seed)
     frames = dict(map_indices(observe, range(bins), workers))
     return [frames[index] for index in range(bins)]
 
@@ -112,11 +111,18 @@ _cells: dict[tuple[Any, ...], BinPickEnv] = {}  # environments of this process, 
 
 
 def _observe_bin(
-    part: str, sensor: SensorPreset, num_parts: tuple[int, int], seed: int, index: int
+    options: CellOptions, num_parts: tuple[int, int], seed: int, index: int
 ) -> tuple[int, FrameObservation]:
-    key = (part, sensor, num_parts)
+    key = (options, num_parts)
     if key not in _cells:
-        _cells[key] = BinPickEnv(part, num_parts=num_parts, perception="learned", sensor=sensor, threads=1)
+        _cells[key] = BinPickEnv(
+            options.load_part(),
+            num_parts=num_parts,
+            perception="learned",
+            sensor=options.sensor,
+            config=options.cell(),
+            threads=1,
+        )
     env = _cells[key]
     env.reset(seed=int(np.random.SeedSequence([seed, index]).generate_state(1)[0]))
     return index, compare_with_truth(env.labelled_capture, env.observed)

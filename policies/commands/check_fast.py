@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binpick_env.config import SensorPreset
+from policies.commands.cell_arguments import CellArguments
 from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
@@ -13,13 +13,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(CellArguments):
     """Compare attempts from the same states; grasps are drawn at random from those on offer."""
 
-    part: str = "tee"  # catalogue name, or path to an STL, OBJ or PLY file
     attempts: int = 100  # pairs
     seed: int = 0  # of the first pile
-    sensor: SensorPreset = "good"  # the depth camera's noise
     min_parts: int = 20  # smallest fill of a bin
     max_parts: int = 30  # largest fill
     json: Path | None = None  # where to write the pairs
@@ -55,10 +53,15 @@ def _compare(args: Arguments) -> str:
 def _env(args: Arguments, *, fast: bool) -> "GraspSelectionEnv":
     from policies.selection.env import GraspSelectionEnv
 
+    options = args.options()
     return GraspSelectionEnv(
-        part=args.part,
+        part=options.part,
+        unit=options.unit,
+        symmetry=options.symmetry,
+        density=options.density,
         num_parts=(args.min_parts, args.max_parts),
-        sensor=args.sensor,
+        sensor=options.sensor,
+        config=options.cell(),
         perception="oracle",
         threads=1,
         max_failures=None,

@@ -5,7 +5,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binpick_env.config import CameraConfig, Perception, SensorPreset
+from binpick_env.config import Perception
+from policies.commands.cell_arguments import CellArguments, evaluated
 from policies.commands.command_line import exit_code, parse
 from policies.selection.choices import HEURISTICS
 
@@ -16,26 +17,22 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(CellArguments):
     """Let selectors pick the same bins and print how well they did beside each other.
 
     Every bin is kept as it is finished: the same command again goes on where it was stopped. A hard bin is, for one,
-    --part bracket --min-parts 30 --max-parts 30 --sensor harsh --hand-eye 0.01. Among the selectors, hindsight tries
+    --part bracket --min-parts 30 --max-parts 30 --sensor harsh --hand-eye-mm 10. Among the selectors, hindsight tries
     what is on offer from the same state until something delivers: a bound for the others, at several attempts a
     decision.
     """
 
-    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
     # heuristics by name, trained ones by the path of their .safetensors, and hindsight for the bound
     selectors: tuple[str, ...] = HEURISTICS
     bins: int = 50  # how many bins
     seed: int = 0  # bin i's own seed follows from this and i alone
     perception: Perception = "learned"  # from pixels; gt_masks: true segments; oracle: true poses of visible parts
-    sensor: SensorPreset = "good"  # the depth camera's noise
     min_parts: int = 20  # smallest fill of a bin
     max_parts: int = 30  # largest fill
-    bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; the standard bin unless given
-    hand_eye: float = 0.0  # error of the camera's reported place, standard deviation an axis [m]
     workers: int = 1  # processes; each computes on one core
     out: Path | None = None  # folder of the records; runs/selectors-PART-PERCEPTION-SENSOR-SEED unless given
     json: Path | None = None  # where to write the numbers; selectors.json in the folder unless given
@@ -45,13 +42,10 @@ class Arguments:
         from policies.evaluation.config import EvaluationConfig
 
         return EvaluationConfig(
-            part=self.part,
+            **evaluated(self.options()),
             seed=self.seed,
             perception=self.perception,
-            sensor=self.sensor,
             num_parts=(self.min_parts, self.max_parts),
-            bin=self.bin,
-            camera=CameraConfig(hand_eye=self.hand_eye),
         )
 
     def job(self) -> "Job":

@@ -4,18 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from binpick_env.config import SensorPreset
+from policies.commands.cell_arguments import CellArguments
 from policies.commands.command_line import exit_code, parse
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(CellArguments):
     """Fit BinPickSelect-v0's pose_noise="learned" to the learned perceiver of one part and sensor."""
 
-    part: str = "tee"  # catalogue name, with weights
     bins: int = 100  # that are looked at, once each
     seed: int = 0  # bin i's own seed follows from this and i alone
-    sensor: SensorPreset = "good"  # the depth camera's noise
     min_parts: int = 2  # smallest fill; small ones stand for bins that have been picked for a while
     max_parts: int = 30  # largest fill
     workers: int = 1  # processes; each computes on one core
@@ -38,7 +36,7 @@ def _fit(args: Arguments) -> str:
     from perception.runtime.provenance import command_line, git_commit
 
     filled = args.min_parts, args.max_parts
-    frames = observe_bins(args.part, args.bins, args.seed, sensor=args.sensor, num_parts=filled, workers=args.workers)
+    frames = observe_bins(args.options(), args.bins, args.seed, num_parts=filled, workers=args.workers)
     facts = {"command": command_line(), "commit": git_commit(), "seed": args.seed, "bins": args.bins}
     noise = fit_noise(frames, {**facts, "part": args.part, "sensor": args.sensor, "num_parts": list(filled)})
     path = args.json or SHIPPED / f"{Path(args.part).stem}_{args.sensor}.json"

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from binpick_env.config import Backend, CameraConfig, Perception, SensorPreset
-from binpick_env.parts.unit import Unit
+from binpick_env.config import Perception
+from policies.commands.cell_arguments import CellArguments, evaluated
 from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
@@ -19,28 +19,19 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(CellArguments):
     """Pick bins of identical parts and print how well it went.
 
     Every bin is kept as it is finished: the same command again goes on where it was stopped.
     """
 
-    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
-    unit: Unit | None = None  # of a file's coordinates; metres or millimetres, whichever is plausible, unless given
-    symmetry: Literal["detect", "none"] = "detect"  # of a file's shape; none: every pose counts as its own
-    density: float | None = None  # [kg/m^3]; the catalogue's, or 2700 (aluminium) for a file, unless given
     bins: int = 10  # how many bins
     seed: int = 0  # bin i's own seed follows from this and i alone
     perception: Perception = "learned"  # from pixels; gt_masks: true segments; oracle: true poses of visible parts
     budget: bool = False  # pick the same bins with all three, whatever --perception says, and compare
-    sensor: SensorPreset = "good"  # the depth camera's noise
     workers: int = 1  # processes; each computes on one core
     min_parts: int = 20  # smallest fill of a bin
     max_parts: int = 30  # largest fill
-    width: int = 1280  # of the camera's image [px]
-    height: int = 960  # [px]
-    backend: Backend = CameraConfig().backend  # what renders the camera's frames
-    hand_eye_mm: float = 0.0  # error of the camera's place, standard deviation per axis, drawn for each bin [mm]
     noise_mm: float = 0.0  # the oracle's position error, standard deviation per axis [mm]
     noise_deg: float = 0.0  # the oracle's rotation error, standard deviation [deg]
     fresh: bool = False  # compute every bin again, those that are there already too
@@ -57,17 +48,10 @@ class Arguments:
         from policies.evaluation.config import EvaluationConfig
 
         return EvaluationConfig(
-            part=self.part,
-            unit=self.unit,
-            symmetry=self.symmetry,
-            density=self.density,
+            **evaluated(self.options()),
             seed=self.seed,
             perception=self.perception,
-            sensor=self.sensor,
             num_parts=(self.min_parts, self.max_parts),
-            camera=CameraConfig(
-                width=self.width, height=self.height, backend=self.backend, hand_eye=self.hand_eye_mm / 1000
-            ),
             pose_noise=PoseNoise(translation=self.noise_mm / 1000, rotation=radians(self.noise_deg)),
         )
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from binpick_env.config import Perception, SensorPreset
+from binpick_env.config import Perception
+from policies.commands.cell_arguments import CellArguments
 from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
@@ -13,19 +14,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Common:
+class Common(CellArguments):
     """What both methods are told."""
 
-    part: str = "tee"  # catalogue name, or path to an STL, OBJ or PLY file
     min_parts: int = 20  # smallest fill of a bin
     max_parts: int = 30  # largest fill
     perception: Perception = "oracle"  # learned for the last stretch of a training
     pose_noise: Literal["learned"] | None = None  # the oracle's: errors such as the learned perceiver's, or none
-    sensor: SensorPreset = "good"  # the depth camera's noise
     fast: bool = False  # leave out the physics of an arm that touches nothing
     max_failures: int = 2  # in a row, that end a bin
-    bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; None is the standard bin
-    hand_eye_mm: float = 0.0  # error of the camera's reported position, standard deviation per axis [mm]
     workers: int = 1  # processes; each computes on one core
     seed: int = 0  # of piles, weights and order
     out: Path | None = None  # folder of the training; runs/selector-METHOD-PART-SEED unless given
@@ -34,7 +31,7 @@ class Common:
         """Return the bins that experience is gathered in."""
         from policies.selection.learning.experience import Cells
 
-        return Cells(**{name: getattr(self, name) for name in Cells.__dataclass_fields__ if hasattr(self, name)})
+        return Cells(**{name: getattr(self, name) for name in Cells.__dataclass_fields__})
 
     def folder(self, method: str) -> Path:
         """Return where the training is kept."""

@@ -6,18 +6,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from binpick_env.config import CellConfig
 from binpick_env.evaluation import noise_fit
 from binpick_env.evaluation.noise_fit import observe_bins
+from binpick_env.options import CellOptions
+from binpick_env.parts.part import Part
 
 
 def test_bins_are_observed_once_each_in_order_with_seeds_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    built: list[tuple[str, dict[str, Any]]] = []
+    built: list[dict[str, Any]] = []
 
     class FakeEnv:
         """An environment whose candidates are its seed."""
 
-        def __init__(self, part: str, **settings: Any) -> None:
-            built.append((part, settings))
+        def __init__(self, part: Part, **settings: Any) -> None:
+            built.append({"part": part.source, **settings})
             self.labelled_capture = "capture"
 
         def reset(self, *, seed: int) -> None:
@@ -26,11 +29,13 @@ def test_bins_are_observed_once_each_in_order_with_seeds_of_their_own(monkeypatc
     monkeypatch.setattr(noise_fit, "BinPickEnv", FakeEnv)
     monkeypatch.setattr(noise_fit, "_cells", {})
     monkeypatch.setattr(noise_fit, "compare_with_truth", lambda capture, observed: (capture, observed.seed))
-    frames = observe_bins("tee", 3, 5, sensor="harsh", num_parts=(2, 9))
+    harsh, good = CellOptions(sensor="harsh", friction=0.3), CellOptions()
+    frames = observe_bins(harsh, 3, 5, num_parts=(2, 9))
     seeds = [int(np.random.SeedSequence([5, index]).generate_state(1)[0]) for index in range(3)]
     assert frames == [("capture", seed) for seed in seeds]
-    observe_bins("tee", 1, 6, sensor="harsh", num_parts=(2, 9))
-    settings = {"num_parts": (2, 9), "perception": "learned", "sensor": "harsh", "threads": 1}
-    assert built == [("tee", settings)]  # built once for all bins of the same settings
-    observe_bins("tee", 1, 6, sensor="good", num_parts=(2, 9))
-    assert built[1:] == [("tee", {**settings, "sensor": "good"})]
+    observe_bins(harsh, 1, 6, num_parts=(2, 9))
+    settings = {"part": "tee", "num_parts": (2, 9), "perception": "learned", "threads": 1}
+    hard = {**settings, "sensor": "harsh", "config": harsh.cell()}
+    assert built == [hard]  # built once for all bins of the same settings
+    observe_bins(good, 1, 6, num_parts=(2, 9))
+    assert built[1:] == [{**settings, "sensor": "good", "config": CellConfig()}]

@@ -10,6 +10,7 @@ import pytest
 from binpick_env.evaluation import noise_fit
 from binpick_env.evaluation.noise_fit import FrameObservation, PartObservation
 from binpick_env.observation.perception_noise import PerceptionNoise
+from binpick_env.options import CellOptions
 from policies.commands import check_fast, evaluate_selector, fit_noise, train_selector
 from policies.commands.command_line import parse
 from policies.grasping.outcomes import GraspOutcome
@@ -38,14 +39,15 @@ def test_a_noise_model_is_fitted_and_kept(
         estimated_fraction=0.9,
     )
 
-    def looked(part: str, bins: int, seed: int, **settings: Any) -> list[FrameObservation]:
-        asked.update(part=part, bins=bins, seed=seed, **settings)
+    def looked(options: CellOptions, bins: int, seed: int, **settings: Any) -> list[FrameObservation]:
+        asked.update(options=options, bins=bins, seed=seed, **settings)
         return [FrameObservation(parts=(row, PartObservation(visible_fraction=0.95)), false_scores=())] * bins
 
     monkeypatch.setattr(noise_fit, "observe_bins", looked)
     out = tmp_path / "tee_harsh.json"
     assert call(fit_noise, "--part", "tee", "--bins", 5, "--seed", 31, "--sensor", "harsh", "--json", out) == 0
-    assert asked == {"part": "tee", "bins": 5, "seed": 31, "sensor": "harsh", "num_parts": (2, 30), "workers": 1}
+    options = CellOptions(part="tee", sensor="harsh")
+    assert asked == {"options": options, "bins": 5, "seed": 31, "num_parts": (2, 30), "workers": 1}
     noise = PerceptionNoise.load(out)
     assert (noise.bins[-1].offered, noise.bins[-1].count) == (0.5, 10)
     assert {"command", "commit", "seed", "bins"} <= noise.provenance.keys()
@@ -109,25 +111,46 @@ def _training(arguments: list[str]) -> train_selector.Arguments:
     return parse(train_selector.Arguments, "train-selector", arguments)
 
 
-def test_what_makes_bins_hard_arrives() -> None:
-    size = ["--bin", "0.3", "0.2", "0.15"]
-    assert _evaluation(size).config().bin == (0.3, 0.2, 0.15)
+def test_what_makes_bins_hard_arrives(capsys: pytest.CaptureFixture[str]) -> None:
+    for size in (["--bin", "0.3", "0.2", "0.15"], ["--bin", "300x200x150"], ["--bin=300x200x150"]):
+        assert _evaluation(size).config().bin == (0.3, 0.2, 0.15)
+        for method in ("ppo", "bandit"):
+            assert _training([method, *size]).cells().bin == (0.3, 0.2, 0.15)
     assert _evaluation([]).config().bin is None
-    hard = ["--hand-eye", "0.01", "--sensor", "harsh"]
+    assert _training(["ppo"]).cells().bin is None
+    hard = ["--hand-eye-mm", "10", "--sensor", "harsh", "--jaw", "0.07", "--friction", "0.3"]
     config = _evaluation(hard).config()
-    assert (config.camera.hand_eye, config.sensor) == (0.01, "harsh")
+    assert (config.camera.hand_eye, config.sensor, config.jaw, config.friction) == (0.01, "harsh", 0.07, 0.3)
     for method in ("ppo", "bandit"):
-        cells = _training([method, "--hand-eye-mm", "10", "--sensor", "harsh"]).cells()
-        assert (cells.hand_eye_mm, cells.sensor) == (10.0, "harsh")
-        assert _training([method, *size]).cells().bin == (0.3, 0.2, 0.15)
-        assert _training([method]).cells().bin is None
+        cells = _training([method, *hard]).cells()
+        assert (cells.hand_eye_mm, cells.sensor, cells.jaw, cells.friction) == (10.0, "harsh", 0.07, 0.3)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("given", [["--hand-eye", "0.01"], ["--hand_eye", "0.01"], ["--hand-eye=0.01"]])
+def test_the_previous_name_of_an_option_is_taken_with_a_note(
+    given: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _evaluation(given).config().camera.hand_eye == 0.01
+    assert _training(["bandit", *given]).cells().hand_eye_mm == 10.0
+    note = "note: --hand-eye (in metres) is now --hand-eye-mm (in millimetres)\n"
+    assert capsys.readouterr().err == 2 * note
+    for broken in (["--hand-eye", "far"], ["--hand-eye"]):
+        with pytest.raises(SystemExit, match="2"):
+            _evaluation(broken)
+
+
+def test_the_options_of_the_cell_are_all_there() -> None:
+    assert train_selector.Bandit().options() == CellOptions()
+    assert CellOptions.__dataclass_fields__.keys() <= check_fast.Arguments.__dataclass_fields__.keys()
 
 
 def test_mistakes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(evaluate_selector, "--perception", "oracle", "--selectors", "oracle", "--out", tmp_path) == 2
     assert "error: a selector must be one of random" in capsys.readouterr().err
     assert call(evaluate_selector, "--bin", "0.3", "0", "0.1") == 2
-    assert "error: inner_size must be positive, got (0.3, 0.0, 0.1)" in capsys.readouterr().err
+    error = "error: bin must be length, width and height inside [m], all positive, got (0.3, 0.0, 0.1)"
+    assert error in capsys.readouterr().err
     assert call(evaluate_selector, "--perception", "oracle", "--bins", "0") == 2
     assert "error: bins and workers must be at least 1" in capsys.readouterr().err
     assert call(train_selector, "bandit", "--epsilon", "2", "--out", tmp_path) == 2

@@ -1,0 +1,53 @@
+"""The options of the cell, the same on every command that builds one."""
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+from binpick_env.config import Backend, SensorPreset
+from binpick_env.options import CellOptions
+from binpick_env.parts.unit import Unit
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneArguments:
+    """What lies in which bin under which camera."""
+
+    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
+    unit: Unit | None = None  # length unit of a part file's coordinates; metres or millimetres, guessed, unless given
+    symmetry: Literal["detect", "none"] = "detect"  # rotational symmetry of a part file; none: ignore it
+    density: float | None = None  # density of the part [kg/m^3]; the catalogue's, or 2700 for a file, unless given
+    # length, width, height inside the bin [m], or one word in mm such as 360x260x120; 0.36 0.26 0.12 unless given
+    bin: tuple[float, float, float] | None = None
+    camera_distance: float = 0.9  # distance of the camera from the bin's floor [m]
+    width: int = 1280  # width of the camera's image [px]
+    height: int = 960  # height of the camera's image [px]
+    # renderer of the camera's frames; raster and rays give the same frames, rays is slower; egl needs a GL driver
+    backend: Backend = "raster"
+    friction: float | None = None  # sliding friction coefficient of parts, bin and tray; 0.5 unless given
+
+    def options(self) -> CellOptions:
+        """Return the options of the cell.
+
+        Raises:
+            ValueError: One of them has no meaning.
+        """
+        return CellOptions(**self._shared())
+
+    def _shared(self) -> dict[str, Any]:
+        names = {field.name for field in fields(self)} & set(CellOptions.__dataclass_fields__)
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellArguments(SceneArguments):
+    """What lies in which bin under which camera, and is picked by which jaw."""
+
+    jaw: float | None = None  # largest opening of the jaw [m]; the gripper's own 0.085 unless given
+    sensor: SensorPreset = "good"  # noise of the depth camera
+    hand_eye_mm: float = 0.0  # error of the camera's reported position, standard deviation per axis [mm]
+
+
+def evaluated(options: CellOptions) -> dict[str, Any]:
+    """Return options as the fields of an `EvaluationConfig`, which has the camera as a whole."""
+    names = ("part", "unit", "symmetry", "density", "bin", "jaw", "sensor", "friction")
+    return {**{name: getattr(options, name) for name in names}, "camera": options.cell().camera}
