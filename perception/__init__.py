@@ -1,1 +1,8 @@
-"""Boundary points, instance segmentation and 6D poses from a depth camera's arrays. Knows no simulator."""
+"""Boundary points, instance segmentation and 6D poses from the arrays of a depth camera.
+
+``Pipeline.for_part(part, workspace).perceive(frame)`` runs all three. The package knows no simulator.
+"""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -14,7 +14,7 @@ from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
 from binpick_env.observation.perception_noise import NOISE_VERSION, NoiseBin, PerceptionNoise, Spread
 from binpick_env.options import CellOptions
-from perception.metrics.pose_error import is_recognised, pose_error
+from perception.metrics.pose_errors import is_recognised, pose_error
 from perception.runtime.files import json_text, write_atomically
 
 EDGES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)  # upper limits of visible fraction

@@ -8,7 +8,7 @@ from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
 from binpick_env.observation.perception_noise import PerceptionNoise
 from perception.geometry import Floats, make_transform, random_rotation, rotation_about
-from perception.metrics.pose_error import MAX_ROTATION
+from perception.metrics.pose_errors import MAX_ROTATION
 from perception.part import Symmetry
 
 _TRIES = 16  # axes drawn for a large rotation; the one that remains largest modulo symmetry is taken

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from perception.geometry import Floats, project_points, require_shape, rotation_about
-from perception.metrics.pose_error import require_diameter, require_pose
+from perception.metrics.pose_errors import require_diameter, require_pose
 from perception.part import PartModel, Symmetry
 
 VSD_DELTA = 0.015  # [m] BOP's tolerance of visibility

@@ -1,1 +1,5 @@
-"""What the library does beside its mathematics: caches, files, provenance, threads."""
+"""Files, caches, threads and provenance: what computations need besides their arrays."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -14,7 +14,7 @@ import numpy as np
 from binpick_env.jobs.text_tables import columns, number, percent
 from binpick_env.parts import load_part
 from perception.geometry import Floats
-from perception.metrics.pose_error import recognition_distances
+from perception.metrics.pose_errors import recognition_distances
 from perception.metrics.pose_recognition import judge_poses
 from perception.part import PartModel
 from policies.benchmarks.measurement import Measurement

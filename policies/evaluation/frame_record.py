@@ -17,7 +17,7 @@ from binpick_env.observation.pixel_perceiver import point_owners
 from perception.geometry import Floats
 from perception.instance import Instance, instances_of, labels_of
 from perception.metrics.matching import SceneMatches, match_scene
-from perception.metrics.pose_error import is_recognised, pose_error, recognition_distances
+from perception.metrics.pose_errors import is_recognised, pose_error, recognition_distances
 from perception.metrics.pose_recognition import MIN_VISIBLE, judge_poses
 from perception.segmentation.scoring import truth_of
 

@@ -8,7 +8,7 @@ import pytest
 
 from binpick_env.candidates import PoseCandidate
 from binpick_env.env import BinPickEnv
-from perception.metrics.pose_error import is_recognised, pose_error
+from perception.metrics.pose_errors import is_recognised, pose_error
 from perception.pipeline import Perception
 from perception.segmentation import weights
 

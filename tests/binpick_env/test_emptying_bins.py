@@ -8,7 +8,7 @@ import trimesh
 
 from binpick_env.env import BinPickEnv
 from binpick_env.parts import load_part
-from perception.metrics.pose_error import is_recognised, pose_error
+from perception.metrics.pose_errors import is_recognised, pose_error
 from tests.binpick_env.observed_cell import assert_right, cell, in_play, no_weights_of_the_users_own, seen_in  # noqa: F401
 from tests.binpick_env.small_cell import above_tray, act, centred, grip
 

@@ -14,7 +14,7 @@ from perception.boundary import BoundaryCloud, extract_boundary
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, make_transform, rotation_about, transform_points
 from perception.instance import Instance, labels_of
-from perception.metrics.pose_error import pose_error
+from perception.metrics.pose_errors import pose_error
 from perception.pipeline import STAGES, Perception, Pipeline, perceive_by
 from perception.pose.estimator import PoseEstimator
 from perception.segmentation.predictor import SegmentationPredictor

@@ -17,7 +17,7 @@ from binpick_env.scenes.clutter import ClutterStats
 from perception.geometry import Floats
 from perception.metrics.matching import SceneMatches, match_scene
 from perception.metrics.pose_distance import PoseSpace
-from perception.metrics.pose_error import is_recognised, pose_error, recognition_distances
+from perception.metrics.pose_errors import is_recognised, pose_error, recognition_distances
 from perception.metrics.pose_recognition import MAX_DISTANCE, PoseVerdicts, judge_poses, visible_enough
 from perception.part import PartModel
 from perception.segmentation.scoring import truth_of

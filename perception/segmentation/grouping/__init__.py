@@ -1,1 +1,5 @@
-"""From per-point outputs to instances: grouping by similarity, GroupMerging, Euclidean components."""
+"""Grouping of embedded points into instances."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
-"""Training of segmentation networks: data, losses, loop, checkpoints."""
+"""Training of the segmentation networks: data, augmentation, losses, the loop and its checkpoints."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

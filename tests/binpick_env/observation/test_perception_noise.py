@@ -22,7 +22,7 @@ from binpick_env.observation.noisy_oracle import NoisyOraclePerceiver, displaced
 from binpick_env.observation.oracle import OraclePerceiver
 from binpick_env.observation.perception_noise import NoiseBin, NoiseError, PerceptionNoise, Spread
 from perception.geometry import make_transform
-from perception.metrics.pose_error import pose_error
+from perception.metrics.pose_errors import pose_error
 from perception.part import PartModel, Symmetry
 from tests.binpick_env.observation.test_perceiver import off_centre, view
 from tests.binpick_env.small_cell import assert_same, small_env

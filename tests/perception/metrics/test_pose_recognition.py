@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from perception.geometry import make_transform, rotation_about, transform_points
 from perception.metrics.average_precision import PrecisionRecall
 from perception.metrics.pose_distance import PoseSpace, surface_moments
-from perception.metrics.pose_error import recognition_distances
+from perception.metrics.pose_errors import recognition_distances
 from perception.metrics.pose_recognition import (
     MAX_DISTANCE,
     PoseVerdicts,

@@ -10,7 +10,7 @@ import trimesh
 from perception.frame import Frame
 from perception.geometry import Floats, make_transform, rotation_about
 from perception.instance import Instance
-from perception.metrics.pose_error import pose_error
+from perception.metrics.pose_errors import pose_error
 from perception.part import PartModel
 from perception.pose import estimator as module
 from perception.pose import hypothesis_scoring

@@ -11,7 +11,7 @@ import trimesh
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, make_transform, random_rotation, rotation_about
 from perception.instance import Instance
-from perception.metrics.pose_error import pose_error
+from perception.metrics.pose_errors import pose_error
 from perception.pose import estimator as module
 from perception.pose import hypothesis_scoring
 from perception.pose.estimator import PoseEstimator

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from perception.geometry import Floats, make_transform, rotation_about
-from perception.metrics.pose_error import pose_error
+from perception.metrics.pose_errors import pose_error
 from perception.part import PartModel, Symmetry
 from perception.pose.model.edge_models import EdgeModel
 from perception.pose.model.surface_model import surface_model

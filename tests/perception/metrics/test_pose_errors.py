@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception.geometry import make_transform, rotation_about
-from perception.metrics.pose_error import PoseError, add, add_s, is_recognised, pose_error, recognition_distances
+from perception.metrics.pose_errors import PoseError, add, add_s, is_recognised, pose_error, recognition_distances
 from perception.part import PartModel
 from tests.perception.pose import posed_parts as at
 from tests.perception.pose.posed_parts import PARTS, Z

@@ -1,0 +1,13 @@
+from .boundary import BoundaryCloud as BoundaryCloud
+from .boundary import BoundarySettings as BoundarySettings
+from .boundary import extract_boundary as extract_boundary
+from .frame import Frame as Frame
+from .frame import Workspace as Workspace
+from .instance import Instance as Instance
+from .part import PartModel as PartModel
+from .part import Symmetry as Symmetry
+from .pipeline import Perception as Perception
+from .pipeline import Pipeline as Pipeline
+from .pipeline import perceive_by as perceive_by
+from .pose.estimator import PoseEstimator as PoseEstimator
+from .pose.pose_estimate import PoseEstimate as PoseEstimate

@@ -1,0 +1,14 @@
+from .cache import cache_folder as cache_folder
+from .cache import cached_arrays as cached_arrays
+from .files import json_text as json_text
+from .files import replace_atomically as replace_atomically
+from .files import write_atomically as write_atomically
+from .provenance import command_line as command_line
+from .provenance import git_commit as git_commit
+from .provenance import machine as machine
+from .provenance import versions as versions
+from .records import RecordError as RecordError
+from .records import RecordFormat as RecordFormat
+from .threads import in_threads as in_threads
+from .threads import one_core as one_core
+from .threads import use_threads as use_threads

@@ -1,0 +1,13 @@
+from .merging import BlockMerger as BlockMerger
+from .merging import MergeConfig as MergeConfig
+from .merging import SampleGroups as SampleGroups
+from .predictor import RoomPredictor as RoomPredictor
+from .predictor import RoomPredictorConfig as RoomPredictorConfig
+from .presets import row_network as row_network
+from .presets import row_training as row_training
+from .scoring import S3disScores as S3disScores
+from .scoring import match_room as match_room
+from .scoring import match_rooms as match_rooms
+from .scoring import room_truth as room_truth
+from .training import RowTraining as RowTraining
+from .training import train_row as train_row

@@ -1,0 +1,13 @@
+from .identities import predict_ground_truth as predict_ground_truth
+from .identities import predict_merged_ground_truth_blocks as predict_merged_ground_truth_blocks
+from .judged import JudgedRow as JudgedRow
+from .judged import load_judged as load_judged
+from .judged import save_judged as save_judged
+from .published import PublishedRow as PublishedRow
+from .published import table_rows as table_rows
+from .subject import Subject as Subject
+from .table import TableConfig as TableConfig
+from .table import TableRow as TableRow
+from .table import interval_lines as interval_lines
+from .table import judge_rows as judge_rows
+from .table import tabulate as tabulate

@@ -1,0 +1,15 @@
+from .predictor import PointPredictions as PointPredictions
+from .predictor import PredictorConfig as PredictorConfig
+from .predictor import SegmentationPredictor as SegmentationPredictor
+from .scene import BoundaryScene as BoundaryScene
+from .scene import SceneError as SceneError
+from .scoring import score_scene as score_scene
+from .surface import Surface as Surface
+from .surface import coarse_surface as coarse_surface
+from .weights import WeightsError as WeightsError
+from .weights import find_weights as find_weights
+from .weights import install_weights as install_weights
+from .weights import load_network as load_network
+from .weights import load_record as load_record
+from .weights import save_network as save_network
+from .weights import user_folder as user_folder

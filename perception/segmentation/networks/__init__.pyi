@@ -1,0 +1,14 @@
+from .dgcnn import DgcnnConfig as DgcnnConfig
+from .dgcnn import DGCNNTrunk as DGCNNTrunk
+from .dgcnn import EdgeConv as EdgeConv
+from .grid import GridView as GridView
+from .grid import view_grid as view_grid
+from .grid_net import GridInputs as GridInputs
+from .grid_net import GridNet as GridNet
+from .grid_net import GridNetConfig as GridNetConfig
+from .output import PointOutputs as PointOutputs
+from .pointnet import PointNetConfig as PointNetConfig
+from .pointnet import PointNetTrunk as PointNetTrunk
+from .sgpn import Sgpn as Sgpn
+from .sgpn import SgpnConfig as SgpnConfig
+from .sgpn import similarity_matrix as similarity_matrix
