@@ -1,7 +1,7 @@
 """Compiled kernels of the grasp planner. Arrays in, arrays out; every index is checked against its array's bounds.
 
-Gripper tables are passed as ``gaps`` (K,) falling and ``points`` (K, P, 3), tcp frame, fingertips first; a point at any
-gap is interpolated between two rows. Poses are (N, 4, 4); lengths [m].
+Gripper tables are passed as ``gaps`` (K,), falling, and ``points`` (K, P, 3), tcp frame, fingertips first. A point at
+any gap is interpolated between two rows. Poses are (N, 4, 4); lengths [m].
 """
 # mypy: disable-error-code="untyped-decorator, no-any-return"
 
@@ -14,8 +14,8 @@ from perception.geometry import Floats
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-# So many points are placed at once, and only then compared with the map: the first half of the work has no branches and
-# runs on the processor's vector units, eight times as fast.
+# Number of points that are mapped at once and only then compared with the height map. The first half of the work then
+# has no branches and runs on the processor's vector units, eight times as fast.
 _CHUNK = 256
 
 
@@ -27,6 +27,7 @@ def fill_solid(triangles: Floats, origin: Floats, voxel: float, occupied: Bools)
     """
     nx, ny, nz = occupied.shape
     for t in range(triangles.shape[0]):
+        # The columns within the bounding box of the triangle's projection along z.
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if area == 0.0:
@@ -35,6 +36,7 @@ def fill_solid(triangles: Floats, origin: Floats, voxel: float, occupied: Bools)
         i1 = min(int(np.ceil((max(a[0], b[0], c[0]) - origin[0]) / voxel)), nx - 1)
         j0 = max(int(np.floor((min(a[1], b[1], c[1]) - origin[1]) / voxel)), 0)
         j1 = min(int(np.ceil((max(a[1], b[1], c[1]) - origin[1]) / voxel)), ny - 1)
+        # Those that cross the triangle, by barycentric coordinates, are inverted from the crossing upwards.
         for i in range(i0, i1 + 1):
             x = origin[0] + i * voxel
             for j in range(j0, j1 + 1):
@@ -52,7 +54,7 @@ def fill_solid(triangles: Floats, origin: Floats, voxel: float, occupied: Bools)
 
 @njit(cache=True)
 def _node(gaps: Floats, gap: float) -> tuple[int, float]:
-    """Return the table's row below ``gap`` and the share of the next one."""
+    """Return the row of the table at or above ``gap``, and the weight of the row behind it."""
     last = len(gaps) - 1
     if gap >= gaps[0]:
         return 0, 0.0
@@ -66,7 +68,7 @@ def _node(gaps: Floats, gap: float) -> tuple[int, float]:
 
 @njit(cache=True)
 def _distance(field: Floats, fx: float, fy: float, fz: float) -> float:
-    """Interpolate an (X, Y, Z) field trilinearly at fractional indices; the eight neighbours must exist."""
+    """Interpolate an (X, Y, Z) field trilinearly at fractional indices; all eight neighbours must exist."""
     i, j, k = int(fx), int(fy), int(fz)
     fx, fy, fz = fx - i, fy - j, fz - k
     near = (field[i, j, k] * (1 - fx) + field[i + 1, j, k] * fx) * (1 - fy) + (
@@ -92,9 +94,9 @@ def clear_of_solid(
     margin: float,
     pad_margin: float,
 ) -> Bools:
-    """Tell for each of N poses, ``retreat`` back along the approach, whether every gripper point keeps its margin.
+    """Return for each of N poses, ``retreat`` back along the approach, whether every gripper point keeps its margin.
 
-    ``field`` (X, Y, Z) is a signed distance [m]; whatever lies outside of it is clear.
+    ``field`` (X, Y, Z) is a signed distance [m]; all points outside of the field are clear.
     """
     nx, ny, nz = field.shape
     scale = 1.0 / voxel
@@ -104,9 +106,11 @@ def clear_of_solid(
         T = T_part_tcp[n]
         ox, oy, oz = T[0, 3] - origin[0], T[1, 3] - origin[1], T[2, 3] - origin[2]
         for p in range(points.shape[1]):
+            # The gripper point in the tcp frame.
             x = points[low, p, 0] + share * (points[low + 1, p, 0] - points[low, p, 0])
             y = points[low, p, 1] + share * (points[low + 1, p, 1] - points[low, p, 1])
             z = points[low, p, 2] + share * (points[low + 1, p, 2] - points[low, p, 2]) - retreat
+            # Fractional voxel indices; a point outside of the field is clear.
             fx = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + ox) * scale
             if not 0.0 <= fx < nx - 1:
                 continue
@@ -117,7 +121,7 @@ def clear_of_solid(
             if not 0.0 <= fz < nz - 1:
                 continue
             least = pad_margin if is_pad[p] else margin
-            # A distance changes by no more than the way: one corner often decides.
+            # The distance changes by at most the diagonal of a voxel within it, so one corner often decides.
             if field[int(fx), int(fy), int(fz)] - 1.7320509 * voxel > least:
                 continue
             if _distance(field, fx, fy, fz) < least:
@@ -128,14 +132,14 @@ def clear_of_solid(
 
 @njit(cache=True)
 def _cell_at(x: float, y: float, origin: Floats, cell: float, rows: int, columns: int) -> int:
-    """Return the flat index of the cell under a point of a map of that many cells, -1 beside it."""
+    """Return the flat index of the cell under a point of a map of ``rows`` by ``columns`` cells, -1 beside it."""
     i, j = np.floor((x - origin[0]) / cell), np.floor((y - origin[1]) / cell)
     return int(i * columns + j) if (i >= 0) & (i < rows) & (j >= 0) & (j < columns) else -1
 
 
 @njit(cache=True)
 def _raise_cells(heights: Floats, cells: Ints, z: Floats, count: int) -> None:
-    """Raise the first ``count`` of (C,) flat indices into (X, Y) ``heights`` to (C,) ``z``, in place; -1 is no cell."""
+    """Raise (X, Y) ``heights`` to (C,) ``z`` at the first ``count`` of (C,) flat indices, in place; -1 is skipped."""
     flat = heights.reshape(-1)
     for k in range(count):
         if cells[k] >= 0 and z[k] > flat[cells[k]]:
@@ -201,13 +205,15 @@ def _lowest(
     stop: float,
     out: Floats,
 ) -> bool:
-    """Lower (3,) ``out`` to the clearances of one pose; ends with False at the first point below ``stop``."""
+    """Lower (3,) ``out`` to the clearances of one pose by label; return False at the first point below ``stop``."""
     low, share = _node(gaps, gap)
     for p in range(points.shape[1]):
+        # The gripper point in the tcp frame.
         a, b = points[low, p], points[low + 1, p]
         x = a[0] + share * (b[0] - a[0])
         y = a[1] + share * (b[1] - a[1])
         z = a[2] + share * (b[2] - a[2]) - retreat
+        # The height of the scene in the cell under it.
         i = int(np.floor((T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3] - origin[0]) / cell))
         j = int(np.floor((T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3] - origin[1]) / cell))
         ground = heights[i, j] if 0 <= i < heights.shape[0] and 0 <= j < heights.shape[1] else outside
@@ -226,16 +232,16 @@ def scene_clearances(
     cell: float,
     outside: float,
     T_bin_tcp: Floats,
-    moments: Floats,
+    states: Floats,
     gaps: Floats,
     points: Floats,
     labels: Ints,
 ) -> Floats:
-    """Return the (N, 3) smallest clearances by label over (N, M, 2) ``moments``, each a gap and a retreat [m]."""
+    """Return the (N, 3) smallest clearances by label over (N, M, 2) ``states``, each a gap and a retreat [m]."""
     out = np.full((len(T_bin_tcp), 3), np.inf)
     for n in range(len(T_bin_tcp)):
-        for m in range(moments.shape[1]):
-            gap, retreat = moments[n, m, 0], moments[n, m, 1]
+        for m in range(states.shape[1]):
+            gap, retreat = states[n, m, 0], states[n, m, 1]
             T = T_bin_tcp[n]
             _lowest(heights, origin, cell, outside, T, gap, retreat, gaps, points, labels, -np.inf, out[n])
     return out
@@ -260,17 +266,19 @@ def widest_clear(
     """Find for each of N grasps the widest clear opening ``width + 2 extras[e]`` with ``allowed[n, e]``.
 
     Returns:
-        (N,) index into the rising ``extras``, -1 where nothing is clear, and the (N,) smallest clearance [m] over the
-        approach at that opening, half way of closing, and closed.
+        (N,) index into the rising ``extras``, -1 where no opening is clear, and the (N,) smallest clearance [m] at that
+        opening: over the approach, halfway through closing, and closed.
     """
     choice = np.full(len(widths), -1)
     clearance = np.full(len(widths), -np.inf)
     closed, out = np.empty(3), np.empty(3)
     for n in range(len(widths)):
+        # Closed on the part: the same for every opening.
         T, w = T_bin_tcp[n], widths[n]
         closed[:] = np.inf
         if not _lowest(heights, origin, cell, outside, T, w, 0.0, gaps, points, labels, margin, closed):
             continue
+        # From the widest opening down: open at contact, half closed, and back along the approach.
         for e in range(len(extras) - 1, -1, -1):
             if not allowed[n, e]:
                 continue

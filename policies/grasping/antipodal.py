@@ -15,18 +15,18 @@ from policies.grasping._kernels import clear_of_solid, fill_solid
 from policies.grasping.gripper import PAD_SIZE, GripperModel
 
 _GRID = (6, 9)  # rays across and along a pad
-_TOUCH = 1e-3  # depth behind the first contact that still counts as touching: rubber, and the pads' tilt [m]
-_START = 6e-3  # distance outside of the faces from which the pads are closed [m]
+_TOUCH = 1e-3  # depth behind the first contact within which a surface touches the pad: rubber, and tilt [m]
+_START = 6e-3  # distance from the faces at which closing begins [m]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Solid:
-    """Signed distance to a mesh on a grid, negative inside, good to about half a voxel; all beyond the grid is clear.
+    """Signed distance to a mesh on a grid, negative inside, accurate to half a voxel; all beyond the grid is clear.
 
     Attributes:
-        field: (X, Y, Z) [m] at the voxels' centres.
+        field: (X, Y, Z) signed distance at the voxels' centres [m].
         origin: (3,) centre of voxel (0, 0, 0), part frame [m].
-        voxel: Edge [m].
+        voxel: Edge length of a voxel [m].
     """
 
     field: Floats
@@ -35,7 +35,7 @@ class Solid:
 
     @classmethod
     def from_mesh(cls, mesh: trimesh.Trimesh, *, voxel: float = 0.8e-3, border: float = 8e-3) -> "Solid":
-        """Measure a watertight mesh [m] on a grid ``border`` [m] larger all around; large ones in larger voxels."""
+        """Measure a watertight mesh [m] on a grid larger by ``border`` [m] all around, a large one in larger voxels."""
         voxel = max(voxel, float(mesh.extents.max()) / 160)
         # The odd shift keeps the columns off the edges of faces that lie on round coordinates.
         origin = mesh.bounds[0] - border - voxel * np.array([0.217, 0.381, 0.143])
@@ -47,7 +47,7 @@ class Solid:
         return cls(field=field, origin=origin, voxel=voxel)
 
     def distance(self, points_part: Floats) -> Floats:
-        """Return the (N,) signed distance [m] of (N, 3) points, that of the nearest voxel; infinite beyond the grid."""
+        """Return the (N,) signed distance [m] of the voxel at each of (N, 3) points, infinite beyond the grid."""
         cells = np.rint((points_part - self.origin) / self.voxel).astype(int)
         inside = np.all((cells >= 0) & (cells < self.field.shape), axis=1)
         i, j, k = np.where(inside[:, None], cells, 0).T
@@ -63,7 +63,16 @@ class Solid:
         pad_margin: float,
         retreat: float = 0.0,
     ) -> NDArray[np.bool_]:
-        """Return the (N,) mask of (N, 4, 4) poses, (N,) gaps [m], at which the gripper keeps its margins [m]."""
+        """Return the (N,) mask of poses at which every point of the gripper keeps its distance from the part.
+
+        Args:
+            T_part_tcp: (N, 4, 4) poses.
+            gap: (N,) distance between the pads [m].
+            gripper: Points on the gripper's surfaces.
+            margin: Distance that all points but the pads' keep [m].
+            pad_margin: Distance that the pads' points keep [m]; negative while they press on the part.
+            retreat: Distance of the gripper back along the approach [m].
+        """
         tables = gripper.gaps, gripper.points, gripper.pad
         field = self.field, self.origin, self.voxel
         clear: NDArray[np.bool_] = clear_of_solid(*field, T_part_tcp, gap, retreat, *tables, margin, pad_margin)
@@ -73,22 +82,22 @@ class Solid:
 def opposite_faces(
     mesh: trimesh.Trimesh, count: int, min_cosine: float, widths: tuple[float, float], seed: int
 ) -> tuple[Floats, Floats]:
-    """Draw surface points and shoot through the part to every face on the far side that looks the other way.
+    """Draw surface points and cast rays through the part to every opposite face on the far side.
 
     Args:
-        mesh: Watertight [m].
+        mesh: Watertight mesh [m].
         count: Number of points, drawn by area.
-        min_cosine: Of the angle between each face's normal and the line: the friction cone.
-        widths: Least and largest distance [m].
-        seed: Of the draw.
+        min_cosine: Least cosine of the angle between each face's normal and the line: the friction cone.
+        widths: Least and largest distance between the faces [m].
+        seed: Seed of the draw.
 
     Returns:
-        (M, 3) points and (M, 3) opposite points [m]. A tube's outer walls pair up across the bore; on faces that are
-        not parallel the line leans alike on both.
+        (M, 3) points and (M, 3) opposite points [m]. A tube's outer walls pair up across the bore. On faces that are
+        not parallel, the line makes the same angle with both normals.
     """
     points, faces = trimesh.sample.sample_surface(mesh, count, seed=seed)
     inward = -mesh.face_normals[faces]
-    # First straight in, where the opposite face may lean by two cones; then along the middle of both normals.
+    # First along the inward normal, where the opposite face may lean by two cones; then along the mean of both normals.
     ray, _, outward = _exits(mesh, points, inward, 2 * min_cosine**2 - 1)
     line = inward[ray] + outward
     line /= np.linalg.norm(line, axis=1, keepdims=True)
@@ -106,7 +115,7 @@ def opposite_faces(
 def _exits(
     mesh: trimesh.Trimesh, points: Floats, line: Floats, min_cosine: float
 ) -> tuple[NDArray[np.int64], Floats, Floats]:
-    """Return, sorted by ray and distance, the rays (M,), places (M, 3) and outward normals (M, 3) where rays leave."""
+    """Return where rays leave the part, by ray and distance: (M,) rays, (M, 3) points and (M, 3) outward normals."""
     hits, ray, face = mesh.ray.intersects_location(points + 1e-5 * line, line, multiple_hits=True)
     normal = mesh.face_normals[face]
     keep = np.einsum("ni,ni->n", normal, line[ray]) >= min_cosine
@@ -116,9 +125,10 @@ def _exits(
 
 
 def grasps_on_lines(first: Floats, second: Floats, turns: int, depths: tuple[float, ...]) -> tuple[Floats, Floats]:
-    """Return (N, 4, 4) grasps and (N,) widths: every approach about every line, at every depth of the tips behind it.
+    """Return (N, 4, 4) grasps and (N,) widths [m] on lines through the part, given by (M, 3) end points.
 
-    Approaches are counted from the part axis most across the line, so that they meet the part's own directions.
+    There is one for each line, each of ``turns`` approaches about it, and each depth [m] of the fingertips behind it.
+    The first approach is along the part axis most perpendicular to the line, so that the part's own axes are met.
     """
     line = second - first
     widths = np.linalg.norm(line, axis=1)
@@ -144,12 +154,12 @@ class Contacts:
     """How two closing pads meet a part, per grasp (N,).
 
     Attributes:
-        shift: Where the middle between the pads comes to lie along the grasp's y [m].
+        shift: Position of the middle between the closed pads along the grasp's y [m].
         width: Distance between the pads at contact [m]; -inf where a pad meets nothing.
-        area: Share of the smaller contact patch in a pad's face.
-        alignment: Smaller of the two patches' cosines between mean normal and closing direction.
-        offset: Distance between the patches' centres in the pads' plane [m]; less the more of them lies opposite.
-        middle: (N, 2) x and z of both patches' common centre, grasp frame [m].
+        area: Area of the smaller contact patch as a share of a pad's face.
+        alignment: Cosine between mean normal and closing direction, at the patch where it is smaller.
+        offset: Distance between the patches' centres in the pads' plane [m], reduced by the share that lies opposite.
+        middle: (N, 2) x and z of the mean of both patches' centres, grasp frame [m].
     """
 
     shift: Floats
@@ -161,7 +171,7 @@ class Contacts:
 
 
 def close_pads(mesh: trimesh.Trimesh, T_part_grasp: Floats, widths: Floats) -> Contacts:
-    """Close both pads from just outside of (N,) ``widths`` [m] and see where they first touch.
+    """Close both pads on (N, 4, 4) grasps from just outside of (N,) ``widths`` [m] until each first touches the part.
 
     Note:
         108 rays a grasp, about 0.1 ms. Features narrower than the rays' 4 mm can slip through.
@@ -195,7 +205,7 @@ def close_pads(mesh: trimesh.Trimesh, T_part_grasp: Floats, widths: Floats) -> C
 def _alignment(touch: NDArray[np.bool_], normals: Floats, outward: Floats) -> Floats:
     """Return (N,) cosines between ``outward`` (N, 3) and the mean of (N, R, 3) normals where (N, R) ``touch``.
 
-    The mean normal, not the mean cosine: a cylinder held across its axis is held straight.
+    It takes the mean normal, not the mean cosine, so that a cylinder gripped across its axis has an alignment of 1.
     """
     mean = np.einsum("nr,nri->ni", touch.astype(np.float64), normals)
     length = np.linalg.norm(mean, axis=1)
@@ -206,7 +216,7 @@ def _alignment(touch: NDArray[np.bool_], normals: Floats, outward: Floats) -> Fl
 def _first_touch(
     mesh: trimesh.Trimesh, T_part_grasp: Floats, widths: Floats, grid: Floats, side: float
 ) -> tuple[Floats, Floats]:
-    """Shoot from the pad on ``side`` (+1 or -1) of y towards the middle.
+    """Cast rays from the pad on ``side`` (+1 or -1) of y towards the middle.
 
     Returns:
         (N, R) distance of the hit surface from the grasp's origin towards that side [m], -inf where nothing is met, and

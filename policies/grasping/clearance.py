@@ -1,4 +1,4 @@
-"""Which grasps on which seen parts the gripper can reach without touching anything else, best first."""
+"""Ranking of the grasps on the observed parts that keep the gripper clear of everything else."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,34 +13,34 @@ from policies.grasping._kernels import scene_clearances, widest_clear
 from policies.grasping.grasps import GraspSet
 from policies.grasping.gripper import GripperModel
 from policies.grasping.heightmap import HeightMap
-from policies.grasping.observed_scene import SeenPart, SeenScene
+from policies.grasping.observed_scene import ObservedPart, ObservedScene
 from policies.grasping.outcomes import GraspCandidate
 
-RETREATS = (0.02, 0.04, 0.06)  # poses checked back along the approach [m]
+RETREATS = (0.02, 0.04, 0.06)  # distances back along the approach at which the gripper is checked [m]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RankSettings:
-    """What is clear enough, and what makes one clear grasp better than another. Lengths [m], angles [rad].
+    """Which grasps are clear, and how clear grasps are ranked. Lengths [m], angles [rad].
 
-    The score is the weighted sum of features in [0, 1]; the positive weights add up to 1.
+    The score is a weighted sum of features in [0, 1]. The weights add up to 1; the penalties are subtracted.
     """
 
-    max_tilt: float = float(np.radians(50))  # of the approach from the vertical
-    margin: float = 0.001  # every point of the gripper stays this much above everything else that was seen
-    max_opening: float = 0.084
-    cell: float = 0.002  # of the height map
-    per_candidate: int = 8  # grasps kept of each part
-    weight_quality: float = 0.30  # of the grasp on the lone part
-    weight_vertical: float = 0.10  # 1 straight down, 0 at max_tilt
-    weight_score: float = 0.10  # perception's confidence
-    weight_visible: float = 0.10  # visible fraction
-    weight_height: float = 0.25  # 1 for the highest part, 0 from 60 mm below it
-    weight_wall: float = 0.05  # distance of the fingertips to the nearest wall, 1 from 50 mm
-    weight_clearance: float = 0.05  # smallest clearance beyond the margin, 1 from 5 mm
-    weight_opening: float = 0.05  # share of the openings that are as wide or narrower
-    penalty_covered: float = 0.30  # for known parts above the target, full from two
-    penalty_buried: float = 0.20  # for the share of the target's outline over which something higher was measured
+    max_tilt: float = float(np.radians(50))  # largest angle between the approach and the vertical
+    margin: float = 0.001  # smallest height of every point of the gripper above everything else that was observed
+    max_opening: float = 0.084  # largest distance between the pads on the approach
+    cell: float = 0.002  # edge length of a cell of the height map
+    per_candidate: int = 8  # largest number of grasps kept of each part
+    weight_quality: float = 0.30  # weight of the grasp's quality on the lone part
+    weight_vertical: float = 0.10  # weight of the approach: 1 straight down, 0 at max_tilt
+    weight_score: float = 0.10  # weight of perception's confidence
+    weight_visible: float = 0.10  # weight of the visible fraction
+    weight_height: float = 0.25  # weight of the part's height: 1 for the highest part, 0 from 60 mm below it
+    weight_wall: float = 0.05  # weight of the fingertips' distance from the nearest wall: 1 from 50 mm
+    weight_clearance: float = 0.05  # weight of the smallest clearance beyond the margin: 1 from 5 mm
+    weight_opening: float = 0.05  # weight of the share of the tried openings that are as wide or narrower
+    penalty_covered: float = 0.30  # penalty for known parts above the target, full from two
+    penalty_buried: float = 0.20  # penalty for the share of the target's outline under higher measurements
 
     def __post_init__(self) -> None:
         if not 0 < self.max_tilt <= np.pi / 2:
@@ -52,14 +52,14 @@ class RankSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class RankStats:
-    """Where grasps were lost. With parts seen and none ranked, there is no clear approach."""
+    """Where a ranking lost grasps."""
 
-    considered: int = 0  # grasps of all candidates
-    tilted: int = 0  # rejected: the approach leans too far
-    blocked: int = 0  # rejected: the gripper would touch something else
-    clear: int = 0  # left
-    parts: int = 0  # candidates
-    parts_blocked: int = 0  # candidates without any clear grasp
+    considered: int = 0  # number of grasps of all candidates
+    tilted: int = 0  # number rejected because the approach is tilted too far
+    blocked: int = 0  # number rejected because the gripper would touch something else
+    clear: int = 0  # number left
+    parts: int = 0  # number of candidates
+    parts_blocked: int = 0  # number of candidates without any clear grasp
 
 
 def clearances(
@@ -77,7 +77,7 @@ def clearances(
         scene: Heights of everything that must not be touched.
         T_world_tcp: (N, 4, 4) final poses.
         opening: (N,) distance between the pads during the approach [m].
-        gripper: Where its surfaces are.
+        gripper: Points on the gripper's surfaces.
         width: (N,) distance between the pads at contact [m], to check the closing as well.
         retreats: Distances back along the approach [m] that are checked besides the final pose.
 
@@ -86,26 +86,26 @@ def clearances(
     """
     require_shape("T_world_tcp", T_world_tcp, (None, 4, 4))
     require_shape("opening", opening, (len(T_world_tcp),))
-    moments = [(opening, back) for back in (0.0, *retreats)]
+    states = [(opening, back) for back in (0.0, *retreats)]
     if width is not None:
         require_shape("width", width, (len(T_world_tcp),))
-        moments += [((opening + width) / 2, 0.0), (width, 0.0)]
-    table = np.stack([np.column_stack([gap, np.full(len(gap), back)]) for gap, back in moments], axis=1)
+        states += [((opening + width) / 2, 0.0), (width, 0.0)]
+    table = np.stack([np.column_stack([gap, np.full(len(gap), back)]) for gap, back in states], axis=1)
     tables = gripper.gaps, gripper.points, gripper.labels
     found: Floats = scene_clearances(*_cells(scene), scene.T_bin_world @ T_world_tcp, table, *tables)
     return found
 
 
 def rank_grasps(
-    scene: SeenScene, grasps: GraspSet, gripper: GripperModel, settings: RankSettings | None = None
+    scene: ObservedScene, grasps: GraspSet, gripper: GripperModel, settings: RankSettings | None = None
 ) -> tuple[list[GraspCandidate], RankStats]:
-    """Place the part's grasps on every seen part and keep the best that are clear of all others.
+    """Place the part's grasps on every observed part and keep the best that are clear of everything else.
 
     Args:
-        scene: The seen parts, and what fingers must stay above.
-        grasps: Of this kind of part.
-        gripper: Where its surfaces are.
-        settings: Defaults if None.
+        scene: Observed parts with their surroundings.
+        grasps: Grasps on this kind of part.
+        gripper: Points on the gripper's surfaces.
+        settings: Limits and weights; the defaults if None.
 
     Returns:
         At most ``per_candidate`` grasps of each part, all together by falling score, and the counts.
@@ -119,7 +119,7 @@ def rank_grasps(
         upright = np.flatnonzero(down >= np.cos(settings.max_tilt))
         T_world_grasp = candidate.T_world_part @ grasps.T_part_grasp[upright]
         placed = _Placed(grasps=grasps.take(upright), T_world_grasp=T_world_grasp, down=down[upright])
-        opening, room = _open(part.free, placed, gripper, settings)
+        opening, room = _open(part.surroundings, placed, gripper, settings)
         kept = np.flatnonzero(opening >= 0)
         tilted += len(grasps) - len(upright)
         clear += len(kept)
@@ -142,27 +142,27 @@ def rank_grasps(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Placed:
-    """Upright enough grasps (N,) of one seen part; ``down`` is the cosine of their tilt."""
+    """The N grasps on one observed part whose approach is steep enough."""
 
     grasps: GraspSet
-    T_world_grasp: Floats
-    down: Floats
+    T_world_grasp: Floats  # (N, 4, 4)
+    down: Floats  # (N,) cosine of the angle between approach and vertical
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Clear:
-    """The clear ones (M,) of them, with the index of the opening and the smallest clearance [m]."""
+    """The M of N placed grasps that are clear of everything else."""
 
     placed: _Placed
-    kept: NDArray[np.int64]
-    opening: NDArray[np.int64]
-    room: Floats
+    kept: NDArray[np.int64]  # (M,) index into the placed grasps
+    opening: NDArray[np.int64]  # (M,) index into the tried openings
+    room: Floats  # (M,) smallest clearance [m]
 
 
 def _open(
     scene: HeightMap, placed: _Placed, gripper: GripperModel, settings: RankSettings
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return (N,) the index of the widest clear opening, -1 for none, and the smallest clearance [m]."""
+    """Return the (N,) index of the widest clear opening, -1 for none, and the (N,) smallest clearance [m]."""
     grasps = placed.grasps
     T_bin_tcp = scene.T_bin_world @ gripper.tcp_from_grasp(placed.T_world_grasp, grasps.width)
     fits = grasps.width[:, None] + 2 * grasps.extras <= min(settings.max_opening, gripper.stroke)
@@ -178,7 +178,7 @@ def _cells(scene: HeightMap) -> tuple[Floats, Floats, float, float]:
     return scene.heights, scene.origin, scene.cell, scene.outside
 
 
-def _shared_features(candidate: PoseCandidate, highest: float, part: SeenPart) -> dict[str, float]:
+def _shared_features(candidate: PoseCandidate, highest: float, part: ObservedPart) -> dict[str, float]:
     """Return the features that all grasps of one part have in common."""
     return {
         "score": candidate.score,
@@ -197,7 +197,7 @@ def _best(
     gripper: GripperModel,
     settings: RankSettings,
 ) -> list[GraspCandidate]:
-    """Score one part's clear grasps and keep the best that differ from each other."""
+    """Score the clear grasps on one part and keep the best that differ from each other."""
     placed, kept = found.placed, found.kept
     T_world_grasp, grasps = placed.T_world_grasp[kept], placed.grasps
     least = np.cos(settings.max_tilt)
@@ -229,7 +229,7 @@ def _best(
 
 
 def _diverse(T_world_grasp: Floats, score: Floats, count: int) -> list[int]:
-    """Return up to ``count`` indices by falling score, each 10 mm or 20 degrees from the others."""
+    """Return up to ``count`` indices by falling score, all 10 mm or 20 degrees apart."""
     order = np.argsort(-score, kind="stable")
     T = T_world_grasp[order]
     free = np.ones(len(order), dtype=np.bool_)

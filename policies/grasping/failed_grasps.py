@@ -1,4 +1,4 @@
-"""What was tried in vain in this bin, and what that says about the grasps that are left."""
+"""Failed attempts of the current bin, and their effect on the ranking of grasps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,21 +12,21 @@ from policies.grasping.outcomes import GraspCandidate
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Failure:
-    """The part's centre (3,) [m] and the grasp (4, 4), world frame."""
+    """One failed attempt."""
 
-    centre_world: Floats
-    T_world_grasp: Floats
+    centre_world: Floats  # (3,) centre of the part [m]
+    T_world_grasp: Floats  # (4, 4) grasp frame
 
 
 @dataclass(eq=False, kw_only=True)
 class FailedGrasps:
-    """Failed attempts of one bin. Parts have no names from frame to frame: they are known by where their centres are.
+    """Failed attempts of one bin. Parts are not tracked from frame to frame; their centres identify them.
 
     Attributes:
-        reach: Candidates whose centres are nearer to each other than this are one part [m].
+        radius: Distance between two centres under which they belong to the same part [m].
     """
 
-    reach: float
+    radius: float
     _failures: list[_Failure] = field(default_factory=list)
 
     def add(self, centre_world: Floats, T_world_grasp: Floats) -> None:
@@ -34,26 +34,29 @@ class FailedGrasps:
         self._failures.append(_Failure(centre_world=centre_world, T_world_grasp=T_world_grasp))
 
     def suspect(self, centre_world: Floats) -> bool:
-        """Whether an attempt failed on the part with a (3,) centre."""
-        return any(bool(np.linalg.norm(centre_world - f.centre_world) < self.reach) for f in self._failures)
+        """Return whether an attempt failed on the part with a (3,) centre."""
+        return any(bool(np.linalg.norm(centre_world - f.centre_world) < self.radius) for f in self._failures)
 
-    def fresh_first(
+    def without_failed(
         self, ranked: Sequence[GraspCandidate], candidates: Sequence[PoseCandidate]
     ) -> list[GraspCandidate]:
-        """Leave out grasps that failed before, and put others on the parts that they failed on behind all else.
+        """Leave out grasps that failed before, and move other grasps on the same parts to the end.
 
         Args:
             ranked: Grasps, best first.
-            candidates: The parts that they are on.
+            candidates: Parts that the grasps are on.
+
+        Returns:
+            The remaining grasps in their new order.
         """
         suspect = [self.suspect(candidates[grasp.candidate].centre_world) for grasp in ranked]
         order = np.argsort(suspect, kind="stable")
-        again = [any(_alike(grasp.T_world_grasp, f.T_world_grasp) for f in self._failures) for grasp in ranked]
+        again = [any(_same_grasp(grasp.T_world_grasp, f.T_world_grasp) for f in self._failures) for grasp in ranked]
         return [ranked[k] for k in order if not again[k]]
 
 
-def _alike(T_a: Floats, T_b: Floats) -> bool:
-    """Whether two grasps are one: tips within 8 mm, approach and jaw within 15 degrees, the jaw without a sign."""
+def _same_grasp(T_a: Floats, T_b: Floats) -> bool:
+    """Return whether fingertips are within 8 mm and approach and closing axis, without its sign, within 15 degrees."""
     near = float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])) < 0.008
     cosine = np.cos(np.radians(15))
     return near and T_a[:3, 2] @ T_b[:3, 2] > cosine and abs(T_a[:3, 1] @ T_b[:3, 1]) > cosine

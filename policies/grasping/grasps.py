@@ -1,4 +1,4 @@
-"""A part's grasps: sampled once on its mesh, checked against the part itself, thinned to an even cover, cached."""
+"""Grasps on a part: sampled once on its mesh, checked against the part, thinned to an even cover, cached."""
 
 import logging
 from dataclasses import dataclass, fields, replace
@@ -16,8 +16,8 @@ from policies.grasping.outcomes import Grasp
 
 _log = logging.getLogger(__name__)
 _VERSION = 5  # raised whenever the code below would give another set
-_SURFACE_DENSITY = 1.5e6  # points per square metre: five in a cell of 2 mm
-_SYMMETRY_STEPS = 24  # turns about a continuous axis
+_SURFACE_DENSITY = 1.5e6  # points per square metre: six in a cell of 2 mm
+_SYMMETRY_STEPS = 24  # rotations that stand for a continuous symmetry axis
 _WIDTH_MARGIN = 0.007  # distance of `max_width` from the jaw's largest opening: the smallest extra, twice, and below
 _OPENING_MARGIN = 0.001  # distance of `max_opening` from the jaw's largest opening [m]
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -171,7 +171,7 @@ def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, s
     counts = {"lines through the part": len(lines[0]), "poses": len(T)}
     solid = Solid.from_mesh(mesh)
 
-    # The pads may touch more than the two points of the line: rough check, exact closing, then the full check.
+    # The pads may touch more than the two points of the line. So: a rough check, exact closing, then the full check.
     opening = np.minimum(width + 2 * settings.extras[0], settings.max_opening)
     rough = solid.clear(gripper.tcp_from_grasp(T, width), opening, gripper, margin=0.0, pad_margin=0.0)
     chosen = np.flatnonzero(rough)
@@ -220,7 +220,7 @@ def _clear_openings(
     columns = []
     for extra in settings.extras:
         opening = width + 2 * extra
-        for gap in (width + extra, opening):  # whoever comes from further out passes here as well
+        for gap in (width + extra, opening):  # closing from a wider opening passes through these as well
             narrow(closes, gap, 0.0, 0.0)
         clear = closes & (opening <= settings.max_opening)
         for retreat in (0.0, 0.02, 0.045):
@@ -230,7 +230,7 @@ def _clear_openings(
 
 
 def _comes_free(solid: Solid, T_part_grasp: Floats, width: Floats, margin: float) -> NDArray[np.bool_]:
-    """Return (N,): whether nothing of the part lies within ``margin`` [m] of the narrow sides of the closed pads."""
+    """Return the (N,) mask of grasps without any of the part within ``margin`` [m] beside the closed pads."""
     across, thickness, length = PAD_SIZE[0] / 2 + margin, PAD_SIZE[1], PAD_SIZE[2]
     depth = np.linspace(0.0015, thickness, 4)  # behind the pad's face; the first millimetre is what the pad presses on
     x, y, z = np.meshgrid([-across, across], depth, np.linspace(-length, margin, 16), indexing="ij")
@@ -245,9 +245,10 @@ def _comes_free(solid: Solid, T_part_grasp: Floats, width: Floats, margin: float
 
 
 def _quality(T: Floats, contacts: Contacts, model: PartModel, settings: GraspSettings) -> Floats:
-    """Return (N,) in [0, 1]: the weighted geometric mean of patch, alignment, lever of gravity, opposition and width.
+    """Return (N,) qualities in [0, 1]: the weighted geometric mean of five terms in (0, 1].
 
-    The lever is the centre of mass's distance from the axis through both patches, about which the part would turn.
+    They rate the contact patch, its alignment, the lever of gravity, how far the patches lie opposite, and the spare
+    width. The lever is the distance of the part's centre from the axis through both patches, about which it would turn.
     """
     axis_point = T[:, :3, 3] + np.einsum("nij,nj->ni", T[:, :3, [0, 2]], contacts.middle)
     to_centre = model.centre - axis_point
@@ -276,9 +277,9 @@ def _replicate(found: GraspSet, model: PartModel) -> GraspSet:
 def _spread(found: GraspSet, limit: int) -> NDArray[np.int64]:
     """Choose at most ``limit`` indices, best first, spread evenly over approach, jaw direction and place.
 
-    The best of every cell (about 15 degrees of approach, 30 of the jaw, 10 mm) is kept; where that is too many, each
-    approach gives the best of each of its places and widths, then the second best of each, and so on: a part that is
-    held well by its rim must not lose the grasps on its hub, which may be the only ones that a neighbour leaves free.
+    The best of every cell (about 15 degrees of approach, 30 of the jaw, 10 mm) is kept. Where that is too many, each
+    approach contributes the best grasp of each of its places and widths, then the second best of each, and so on. A
+    part with good grasps on its rim thus keeps those on its hub, which may be the only ones that neighbours leave free.
     """
     order = np.argsort(-found.quality, kind="stable")
     T = found.T_part_grasp[order]
@@ -295,7 +296,7 @@ def _spread(found: GraspSet, limit: int) -> NDArray[np.int64]:
 
 
 def _ranks(groups: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return (N,) how many earlier entries are of the same group."""
+    """Return the (N,) number of earlier entries of the same group."""
     by_group = np.argsort(groups, kind="stable")
     starts = np.searchsorted(groups[by_group], groups[by_group])
     ranks = np.empty(len(groups), dtype=np.int64)

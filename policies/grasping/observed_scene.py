@@ -1,4 +1,4 @@
-"""What one frame tells of the bin: its height map, and what is left of it without each of the seen parts."""
+"""The scene in one frame: its height map, and for each observed part the map without it."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,37 +13,37 @@ from policies.grasping.heightmap import HeightMap
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SeenPart:
-    """How one seen part lies in the scene.
+class ObservedPart:
+    """One observed part among the others.
 
     Attributes:
-        free: The scene without it: what must not be touched where it is gripped.
-        covering: Number of known parts above it.
-        buried: Share of its outline over which something higher was measured.
+        surroundings: Height map of the scene without the part, which a gripper must not touch.
+        covering: Number of known parts above the part.
+        buried: Share of the part's outline over which something higher was measured.
     """
 
-    free: HeightMap
+    surroundings: HeightMap
     covering: int
     buried: float
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SeenScene:
-    """One frame, laid out for whoever plans on it. Made once a frame and passed along.
+class ObservedScene:
+    """One frame, prepared for grasp planning. It is computed once a frame and passed on.
 
     Attributes:
-        frame: What was seen.
-        candidates: Parts seen in it.
-        workspace: The bin.
-        heights: Everything that was seen.
-        parts: One for each candidate.
+        frame: Frame that was taken.
+        candidates: Parts observed in the frame.
+        workspace: Pose and inner size of the bin.
+        heights: Height map of everything observed.
+        parts: Each candidate among the others, in the candidates' order.
     """
 
     frame: Frame
     candidates: Sequence[PoseCandidate]
     workspace: Workspace
     heights: HeightMap
-    parts: tuple[SeenPart, ...]
+    parts: tuple[ObservedPart, ...]
 
     @classmethod
     def from_frame(
@@ -55,15 +55,15 @@ class SeenScene:
         *,
         cell: float = 0.002,
         wall: float = 0.02,
-    ) -> "SeenScene":
-        """Lay out a frame.
+    ) -> "ObservedScene":
+        """Compute the scene in a frame.
 
         Args:
-            frame: The depth that fingers must stay above.
-            candidates: Parts seen in it.
-            workspace: The bin.
+            frame: Frame whose depth the fingers must stay above.
+            candidates: Parts observed in the frame.
+            workspace: Pose and inner size of the bin.
             surface_part: (S, 3) dense points on the part's surface, part frame [m].
-            cell: Of the height map [m].
+            cell: Edge length of a cell of the height map [m].
             wall: Thickness of the bin's walls [m].
 
         Note:
@@ -74,7 +74,7 @@ class SeenScene:
         return cls(frame=frame, candidates=candidates, workspace=workspace, heights=heights, parts=parts)
 
 
-def _parts(scene: HeightMap, candidates: Sequence[PoseCandidate], surface_part: Floats) -> Iterator[SeenPart]:
+def _parts(scene: HeightMap, candidates: Sequence[PoseCandidate], surface_part: Floats) -> Iterator[ObservedPart]:
     if not candidates:
         return
     rasters = np.stack([scene.rasterise(surface_part, c.T_world_part) for c in candidates])
@@ -84,10 +84,11 @@ def _parts(scene: HeightMap, candidates: Sequence[PoseCandidate], surface_part: 
     if len(rasters) > 1:
         runner_up = np.partition(rasters, len(rasters) - 2, axis=0)[-2]
     for row, own in enumerate(rasters):
-        outline = np.nonzero(np.isfinite(own))  # empty for an estimate beside the map: then nothing is clear either
-        surface = cv2.dilate(own, np.ones((3, 3), np.uint8))[outline]  # edge cells may hold a flank's lower points only
-        # 3 % of the outline: less is two parts side by side whose edges share cells.
+        outline = np.nonzero(np.isfinite(own))  # empty for an estimate beside the map, where no grasp is clear either
+        # Dilated, because an edge cell may hold only the lower points of a flank.
+        surface = cv2.dilate(own, np.ones((3, 3), np.uint8))[outline]
+        # 3 % of the outline: with less, two parts lie side by side and their edges share cells.
         above = (rasters[:, outline[0], outline[1]] > surface + 0.002).sum(axis=1) > 0.03 * len(surface)
         buried = float((scene.measured[outline] > surface + 0.005).mean()) if len(surface) else 1.0
         others = np.where(owner == row, runner_up, highest)
-        yield SeenPart(free=scene.without(own, others), covering=int(above.sum()), buried=buried)
+        yield ObservedPart(surroundings=scene.without(own, others), covering=int(above.sum()), buried=buried)

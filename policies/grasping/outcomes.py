@@ -1,4 +1,4 @@
-"""What a pick attempt starts from and how it ends."""
+"""Grasps, outcomes of attempts, and results of decisions."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -7,13 +7,13 @@ from perception.geometry import Floats
 
 
 class GraspOutcome(StrEnum):
-    """How an executed attempt ended, judged from the physics.
+    """How an executed attempt ended, judged by the simulation.
 
     An attempt begins when the gripper leaves the pre-grasp.
     """
 
     DELIVERED = "delivered"  # one part, released, at rest in the tray alone; parts lost on the way are counted apart
-    COLLIDED = "collided"  # hit the bin or pressed on a part on the way down; the descent was broken off
+    COLLIDED = "collided"  # exceeded the contact force on the approach, which was broken off
     MISSED = "missed"  # the jaw closed and held nothing
     SLIPPED = "slipped"  # held at first, lost during the lift
     DROPPED = "dropped"  # lost on the way to the tray
@@ -25,8 +25,8 @@ class GraspOutcome(StrEnum):
 class Abstention(StrEnum):
     """Why no attempt was made."""
 
-    NO_CANDIDATE = "no_candidate"  # perception offers no part
-    NO_CLEAR_APPROACH = "no_clear_approach"  # every grasp would touch a neighbour or a wall, or has failed before
+    NO_CANDIDATE = "no_candidate"  # perception found no part
+    NO_CLEAR_APPROACH = "no_clear_approach"  # every grasp would touch a neighbour or a wall, or failed before
     IK_INFEASIBLE = "ik_infeasible"  # clear grasps exist, but the arm reaches none of them
 
 
@@ -38,9 +38,9 @@ class Grasp:
     y along the closing direction, x across the pads.
 
     Attributes:
-        T_part_grasp: (4, 4).
+        T_part_grasp: (4, 4) grasp frame in the part frame.
         width: Distance between the pads at contact [m].
-        quality: In [0, 1], higher is better.
+        quality: Quality of the grasp on the lone part in [0, 1], higher is better.
     """
 
     T_part_grasp: Floats
@@ -50,16 +50,16 @@ class Grasp:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GraspCandidate:
-    """A grasp on a seen part that is clear of the scene as far as it was seen.
+    """A grasp on an observed part that is clear of the observed scene.
 
     Attributes:
         T_world_grasp: (4, 4) grasp frame at contact.
-        T_world_tcp: (4, 4) where the arm's tcp must be when the pads close to ``width``.
+        T_world_tcp: (4, 4) pose of the arm's tcp at which the pads close on the part.
         width: Distance between the pads at contact [m].
         opening: Distance between the pads during the approach [m].
         candidate: Row of the pose candidate in the observation.
-        score: Rank among the grasps; higher is tried first.
-        features: Named scalars behind the score.
+        score: Score among all grasps of the frame; higher is tried first.
+        features: Named scalars that the score is made of.
     """
 
     T_world_grasp: Floats
@@ -77,14 +77,14 @@ class PickResult:
 
     Attributes:
         outcome: How the attempt ended; None for an abstention.
-        abstention: Why nothing was tried; None for an attempt.
-        grasp: What was tried.
-        part: Index of the part that was aimed at, -1 if unknown (for reports; a policy never reads it).
+        abstention: Why no attempt was made; None for an attempt.
+        grasp: Grasp that was attempted; None for an abstention.
+        part: True index of the target part, -1 if unknown (for reports; a policy never reads it).
         delivered: Number of parts delivered by the attempt (0 or 1).
         t_sense: Nominal exposure time [s].
         t_compute: Wall clock of perception and planning [s].
-        t_motion: Simulated time [s].
-        frame_id: Frame that the decision was made on.
+        t_motion: Simulated time of the motion [s].
+        frame_id: Number of the frame that the decision was made on.
     """
 
     outcome: GraspOutcome | None = None

@@ -1,1 +1,5 @@
 """Motion of the arm: inverse kinematics, paths, timing, collision checks."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

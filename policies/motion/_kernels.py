@@ -11,7 +11,7 @@ from perception.geometry import Floats
 def place_points(T_a_b: Floats, points_b: Floats) -> Floats:
     """Map (P, 3) points by each of (S, 4, 4) transforms to (S P, 3), transform by transform.
 
-    The sums run x, z, y, as in numpy's einsum, whose bits these are.
+    The sums run x, z, y, as in numpy's einsum, so that the bits are the same.
     """
     out = np.empty((len(T_a_b) * len(points_b), 3))
     for s in range(len(T_a_b)):
@@ -28,7 +28,8 @@ def place_points(T_a_b: Floats, points_b: Floats) -> Floats:
 def box_heights(points: Floats, places: Floats, rotations: Floats, sizes: Floats) -> Floats:
     """Return the (N,) z of the highest of B upright boxes over or under each of (N, 3) points, -inf beside all.
 
-    The boxes' centres are (B, 3) ``places``, their axes the columns of (B, 9) ``rotations``, their half sizes (B, 3).
+    The boxes have centres ``places`` (B, 3), rotation matrices ``rotations`` (B, 9), row by row, and half sizes
+    ``sizes`` (B, 3).
     """
     out = np.full(len(points), -np.inf)
     for b in range(len(places)):

@@ -1,4 +1,4 @@
-"""Is a joint path free? The robot against the cell and itself, and sample points on the tool against the pile."""
+"""Collision checks of joint paths: the robot against cell and itself, points on the tool against the pile."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,17 +9,17 @@ from perception.geometry import Floats, require_shape
 from policies.motion._kernels import place_points
 from policies.motion.planning_scene import DOF, PlanningScene
 
-HeightFunction = Callable[[Floats], Floats]  # (P, 3) world points to the (P,) height of the pile below each [m]
-_TIP_STEP, _JOINT_STEP = 0.02, 0.1  # between checked samples [m], [rad]
+HeightFunction = Callable[[Floats], Floats]  # maps (P, 3) world points to the (P,) height of the pile under each [m]
+_TIP_STEP, _JOINT_STEP = 0.02, 0.1  # largest motion of tcp and joints between checked samples [m], [rad]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PathCheck:
-    """Verdict on a path.
+    """Result of a collision check.
 
     Attributes:
-        q_hit: (6,) first posture that touches something [rad]; None if the path is free.
-        reason: What touches what, and how deeply.
+        q_hit: (6,) first posture in collision [rad]; None if the path is free.
+        reason: Names of the two bodies that touch, and their distance.
     """
 
     q_hit: Floats | None = None
@@ -27,15 +27,15 @@ class PathCheck:
 
     @property
     def free(self) -> bool:
-        """Whether nothing is touched."""
+        """Whether no sample is in collision."""
         return self.q_hit is None
 
 
 class PathChecker:
-    """Checks dense samples of a path."""
+    """Checks dense samples of a path. Holds nothing but the scene."""
 
     def __init__(self, scene: PlanningScene) -> None:
-        """Keep the scene that answers for kinematics and contacts."""
+        """Keep the scene, which computes kinematics and contacts."""
         self._scene = scene
 
     def check(
@@ -53,10 +53,10 @@ class PathChecker:
         Args:
             q: (W, 6) knots [rad].
             opening: Distance between the pads [m]; None for the open jaw.
-            clearance: That robot and cell must keep [m].
-            points_tcp: (P, 3) points on the gripper and on what it carries, tcp frame [m]; None checks no points.
-            obstacle_height: Surface of the pile. Table, bin and tray stand in the way of the points without it.
-            pile_clearance: That the points must keep above any surface [m].
+            clearance: Smallest distance allowed between robot and cell [m].
+            points_tcp: (P, 3) points on the gripper and on what it carries, tcp frame [m]; none if None.
+            obstacle_height: Surface of the pile. Without it, the points are checked against table, bin and tray only.
+            pile_clearance: Smallest height of the points above any surface [m].
 
         Note:
             About 15 us a sample, and 70 us for a thousand points at it.
@@ -76,7 +76,7 @@ class PathChecker:
         return self._check_points(samples, points_tcp, obstacle_height, pile_clearance)
 
     def refine(self, q: Floats) -> Floats:
-        """Return (S, 6) samples of the polyline, near enough that neither tip nor joints skip anything."""
+        """Return (S, 6) samples of the polyline, so dense that tcp and joints move by little from one to the next."""
         if len(q) < 2:
             return q
         tips = self._scene.tcp_poses(q)[:, :3, 3]

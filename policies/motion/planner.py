@@ -1,4 +1,4 @@
-"""Lift, traverse, descend: timed motions between two postures, every failure a value with its reason."""
+"""Timed motions between two postures: lift, traverse, descend. A failure is a value with its reason."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -27,13 +27,13 @@ class PlanFailure(StrEnum):
 class PlannerSettings:
     """How motions are planned."""
 
-    clearance: float = 0.01  # of the robot from the cell while it traverses [m]
-    line_clearance: float = 0.0015  # on straight lines, which end in narrow places [m]
-    escape_depth: float = 0.004  # that the robot may be in the cell when it sets out, where contacts are soft [m]
-    pile_clearance: float = 0.015  # of the tool's points from pile, rim and tray while it traverses [m]
-    via_heights: tuple[float, ...] = (0.06, 0.12, 0.20)  # above start and goal, tried in turn [m]
-    extensions: tuple[float, ...] = (0.0, 0.05, 0.1)  # of a standoff that leaves no way in, tried in turn [m]
-    line_speed: float = 1.0  # share of the velocity limit on straight lines
+    clearance: float = 0.01  # distance of the robot from the cell while it traverses [m]
+    line_clearance: float = 0.0015  # the same on straight lines, which end in narrow places [m]
+    escape_depth: float = 0.004  # penetration allowed where a motion sets out, since simulated contacts are soft [m]
+    pile_clearance: float = 0.015  # height of the tool's points above pile, rim and tray while it traverses [m]
+    via_heights: tuple[float, ...] = (0.06, 0.12, 0.20)  # heights of via points above start and goal, in turn [m]
+    extensions: tuple[float, ...] = (0.0, 0.05, 0.1)  # lengths added to the standoff, in turn, until there is a way [m]
+    line_speed: float = 1.0  # share of the velocity limit allowed on straight lines
 
     def __post_init__(self) -> None:
         for name in ("clearance", "line_clearance", "escape_depth", "pile_clearance", "via_heights", "extensions"):
@@ -45,7 +45,7 @@ class PlannerSettings:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tool:
-    """What the arm holds out in front of it.
+    """Gripper and carried part, as far as motions must clear them.
 
     Attributes:
         opening: Distance between the pads [m]; None for the open jaw.
@@ -84,9 +84,9 @@ class MotionPlan:
     """A timed motion, or the reason why there is none.
 
     Attributes:
-        trajectory: None if planning failed. Its marks are the ends of the legs.
-        failure: None if it did not.
-        detail: The failure in words.
+        trajectory: Motion whose marks are the ends of its legs; None if planning failed.
+        failure: Kind of failure; None if there is a motion.
+        detail: Failure in words.
     """
 
     trajectory: Trajectory | None = None
@@ -100,10 +100,10 @@ class MotionPlan:
 
 
 class MotionPlanner:
-    """Plans motions of the arm in its cell. Deterministic."""
+    """Plans motions of the arm in its cell. Deterministic; no call depends on an earlier one."""
 
     def __init__(self, scene: PlanningScene, ik: IkSolver, settings: PlannerSettings | None = None) -> None:
-        """Keep the scene and the solver; the arm's limits are those of the scene's cell."""
+        """Keep the scene and the solver; the limits on joint velocity and acceleration are the scene's."""
         self.settings = settings if settings is not None else PlannerSettings()
         self._scene, self._ik = scene, ik
         self._limits = scene.config.robot
@@ -125,15 +125,15 @@ class MotionPlanner:
             q_from: (6,) start [rad].
             T_world_tcp_to: (4, 4) goal.
             tool: Jaw and carried part.
-            escaping: Whether the line leads away from contacts, which may then be as deep as the settings say.
-            speed: Share of the velocity limit; the settings' if None.
-            scale: Share of velocity and acceleration limits.
+            escaping: Whether the line leads away from contacts; penetration up to ``escape_depth`` is then allowed.
+            speed: Share of the velocity limit allowed on the line; the settings' ``line_speed`` if None.
+            scale: Share of the velocity and acceleration limits used.
         """
         line = self._line(q_from, T_world_tcp_to, speed)
         if isinstance(line, MotionPlan):
             return line
-        touch = self._touch(line, tool, escaping=escaping)
-        return touch if touch is not None else self._timed([line], scale)
+        collision = self._line_collision(line, tool, escaping=escaping)
+        return collision if collision is not None else self._timed([line], scale)
 
     def plan_transfer(
         self,
@@ -197,9 +197,9 @@ class MotionPlanner:
         self, up: JointPath, into: JointPath, tool: Tool, obstacle_height: HeightFunction | None
     ) -> JointPath | MotionPlan:
         """Find a free way from the end of one straight leg to the beginning of another."""
-        touch = self._touch(up, tool, escaping=len(up.q) > 1) or self._touch(into, tool)
-        if touch is not None:
-            return touch
+        collision = self._line_collision(up, tool, escaping=len(up.q) > 1) or self._line_collision(into, tool)
+        if collision is not None:
+            return collision
         detail = ""
         for waypoints in self._routes(up.q[-1], into.q[0]):
             knots = smooth_path(
@@ -236,7 +236,7 @@ class MotionPlanner:
         result = self._ik.solve(make_transform(translation=(0, 0, height)) @ self._ik.tcp_pose(q), q)
         return result.q if result.ok else None
 
-    def _touch(self, line: JointPath, tool: Tool, *, escaping: bool = False) -> MotionPlan | None:
+    def _line_collision(self, line: JointPath, tool: Tool, *, escaping: bool = False) -> MotionPlan | None:
         """Return the failure of a straight leg that touches the cell; None if it is free."""
         clearance = -self.settings.escape_depth if escaping else self.settings.line_clearance
         verdict = self._checker.check(line.q, opening=tool.opening, clearance=clearance)

@@ -1,4 +1,4 @@
-"""What is asked of the arm: poses and postures checked, compared and interpolated."""
+"""Target poses and postures of the arm: checked, compared and interpolated."""
 
 from collections.abc import Iterator, Sequence
 
@@ -22,7 +22,7 @@ def pose_residual(T_world_tcp: Floats, T_world_target: Floats) -> tuple[float, f
 
 
 def interpolate_poses(T_a: Floats, T_b: Floats, spacing: float) -> Iterator[Floats]:
-    """Yield the (4, 4) poses of the line from ``T_a``, left out, to ``T_b``, ``spacing`` [m] or 0.05 rad apart."""
+    """Yield (4, 4) poses on the line from ``T_a``, excluded, to ``T_b``, at most ``spacing`` [m] and 0.05 rad apart."""
     distance, angle = pose_residual(T_a, T_b)
     steps = int(np.ceil(max(distance / spacing, angle / 0.05)))
     turn = T_a[:3, :3].T @ T_b[:3, :3]
@@ -34,7 +34,7 @@ def interpolate_poses(T_a: Floats, T_b: Floats, spacing: float) -> Iterator[Floa
 
 
 def checked_pose(T_world_tcp: Floats) -> mink.SE3:
-    """Return the (4, 4) target as mink has it, or raise ``ValueError`` if it is not a finite rigid transform."""
+    """Return a (4, 4) target as mink's type, or raise ``ValueError`` if it is not a finite rigid transform."""
     T = np.asarray(T_world_tcp, dtype=np.float64)
     require_shape("T_world_tcp", T, (4, 4))
     if not np.all(np.isfinite(T)):

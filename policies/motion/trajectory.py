@@ -1,9 +1,9 @@
-"""Joint paths and their timing: a curve through the arm's joint space becomes targets at the control rate.
+"""Joint paths and their timing: from a curve in joint space to targets at the control rate.
 
 Timing is TOPP-RA's (Pham and Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability
-Analysis", IEEE T-RO 2018), as the package toppra has it: 3 ms for a path of 100 knots, exact limits, no stop between
-legs. Ruckig times waypoints, not curves, and would leave a straight line; a trapezoid on the path's length has to obey
-the worst curvature everywhere.
+Analysis", IEEE T-RO 2018), in the package toppra: 3 ms for a path of 100 knots, exact limits, no stop between legs.
+Ruckig times waypoints, not curves, and would leave a straight line. A trapezoid on the path's length has to obey the
+worst curvature everywhere.
 """
 
 from collections.abc import Sequence
@@ -19,10 +19,10 @@ from binpick_env.config import CONTROL_PERIOD, RobotConfig
 from perception.geometry import Floats, require_shape
 from policies.motion.planning_scene import DOF
 
-_KNOT_SPACING = 0.04  # of smooth paths, in the joint space's Euclidean length [rad]
-_MIN_SPACING = 1e-6  # knots nearer than this are one [rad]
-_BEND = 0.6  # of a chord's length: how strongly a leg's end is bent into its neighbour's direction
-_RESERVE = 0.96  # of the limits: what interpolation between knots may take
+_KNOT_SPACING = 0.04  # distance between knots of smooth paths, Euclidean in joint space [rad]
+_MIN_SPACING = 1e-6  # knots nearer to each other than this are merged [rad]
+_BEND = 0.6  # magnitude of the slope at a leg's end that takes up its neighbour's direction; 1 along a chord
+_RESERVE = 0.96  # share of the limits that is used; interpolation between knots may need the rest
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,7 +32,7 @@ class JointPath:
     Attributes:
         q: (W, 6) dense knots [rad]; a cubic spline through them is the curve.
         speed: (W,) share of the arm's velocity limit allowed at each knot.
-        ends: Knot at which each leg ends, in order; the last is W - 1.
+        ends: Index of the knot at which each leg ends, in order; the last is W - 1.
     """
 
     q: Floats
@@ -56,7 +56,7 @@ class Trajectory:
         t: (T,) times from 0 at the control period [s].
         q: (T, 6) joint positions [rad]; the last row is the goal.
         qd: (T, 6) joint velocities [rad/s]; the first and the last row are zero.
-        marks: Sample at or just after the end of each leg of the path.
+        marks: Index of the sample at or just after the end of each leg of the path.
     """
 
     t: Floats
@@ -71,12 +71,12 @@ class Trajectory:
 
 
 def leg(q: Floats, speed: float = 1.0) -> JointPath:
-    """Return one leg through dense (W, 6) knots, which may not move the arm faster than ``speed`` of its limit."""
+    """Return one leg through dense (W, 6) knots, on which ``speed`` is the allowed share of the velocity limit."""
     return JointPath(q=q, speed=np.full(len(q), float(speed)), ends=(len(q) - 1,))
 
 
 def join(legs: Sequence[JointPath]) -> JointPath:
-    """Chain legs, each of which begins where the one before it ends; where two speeds meet, the lower holds."""
+    """Chain legs, each of which begins where the one before it ends; where two speeds meet, the lower one holds."""
     if not legs:
         raise ValueError("legs must hold at least one path")
     q, speed, ends = legs[0].q, legs[0].speed, list(legs[0].ends)
@@ -95,9 +95,9 @@ def smooth_path(waypoints: Floats, *, tangent_from: Floats | None = None, tangen
     """Return dense (W, 6) knots of a cubic curve through waypoints; two without tangents give a straight line.
 
     Args:
-        waypoints: (V, 6), start and goal included [rad].
-        tangent_from: (6,) direction in which to set out, so that a leg before runs on smoothly; None for straight on.
-        tangent_to: (6,) direction of arrival, likewise.
+        waypoints: (V, 6) postures to pass, start and goal included [rad].
+        tangent_from: (6,) direction at the start, so that a leg before continues smoothly; the chord if None.
+        tangent_to: (6,) direction at the goal, so that a leg behind continues smoothly; the chord if None.
     """
     require_shape("waypoints", waypoints, (None, DOF))
     chords = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
@@ -124,10 +124,10 @@ def time_path(
     """Time a path as fast as the limits allow, then stretch it to a whole number of control periods.
 
     Args:
-        path: The curve; it starts and ends at rest.
-        limits: Joint velocities and accelerations.
-        scale: Share of both limits to use, in (0, 1]; below 1 while carrying.
-        period: Between samples [s].
+        path: Curve that is run from rest to rest.
+        limits: Largest joint velocity and acceleration.
+        scale: Share of both limits to use, in (0, 1].
+        period: Time between samples [s].
 
     Returns:
         The trajectory, or None if no timing obeys the limits.
@@ -164,9 +164,9 @@ def _path_rate(curve: SplineInterpolator, s: Floats, velocity: Floats, accelerat
 
     Args:
         curve: Joint positions over the path length.
-        s: (G,) path lengths [rad].
-        velocity: (G,) limit of every joint there [rad/s].
-        acceleration: Limit of every joint [rad/s^2].
+        s: (G,) path lengths of the grid [rad].
+        velocity: (G,) velocity limit of every joint at each of them [rad/s].
+        acceleration: Acceleration limit of every joint [rad/s^2].
     """
     both_ways = np.array([-1.0, 1.0])
     bounds = np.broadcast_to(velocity[:, None, None] * both_ways, (len(s), DOF, 2))
@@ -188,14 +188,14 @@ def _path_rate(curve: SplineInterpolator, s: Floats, velocity: Floats, accelerat
 
 
 def _with_middles(knots: Floats, middles: Floats) -> Floats:
-    """Interleave (W,) values at the knots with (W - 1,) between them; TOPP-RA then sees what the spline does there."""
+    """Interleave (W,) values at the knots with (W - 1,) between them, where TOPP-RA then checks the spline as well."""
     grid = np.empty(len(knots) + len(middles))
     grid[::2], grid[1::2] = knots, middles
     return grid
 
 
 def _progress(t: Floats, arrival: Floats, s: Floats, rate: Floats) -> tuple[Floats, Floats]:
-    """Return path length and its rate (T,) at times (T,), evenly accelerated between grid points (G,)."""
+    """Return the (T,) path length and its rate at (T,) times, uniformly accelerated between (G,) grid points."""
     knot = np.clip(np.searchsorted(arrival, t, side="right") - 1, 0, len(s) - 2)
     since = t - arrival[knot]
     push = (rate[knot + 1] ** 2 - rate[knot] ** 2) / (2 * (s[knot + 1] - s[knot]))
@@ -203,7 +203,7 @@ def _progress(t: Floats, arrival: Floats, s: Floats, rate: Floats) -> tuple[Floa
 
 
 def _distinct_knots(path: JointPath) -> tuple[Floats, Floats, list[int]]:
-    """Drop knots that repeat the one before; return knots, speeds and where each old knot went."""
+    """Drop knots that repeat the one before; return knots, speeds, and the new index of each old knot."""
     moves = np.concatenate([[True], np.linalg.norm(np.diff(path.q, axis=0), axis=1) > _MIN_SPACING])
     return path.q[moves], path.speed[moves], (np.cumsum(moves) - 1).tolist()
 

@@ -1,1 +1,5 @@
-"""Pickers: the scripted one, how it executes a grasp, how a bin is driven to its end."""
+"""Picking: the scripted picker, the execution of an attempt, and one bin from the drop to its end."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -12,7 +12,7 @@ from policies.grasping.clearance import RankStats, rank_grasps
 from policies.grasping.failed_grasps import FailedGrasps
 from policies.grasping.grasps import sample_grasps, why_no_grasp
 from policies.grasping.gripper import gripper_model
-from policies.grasping.observed_scene import SeenScene
+from policies.grasping.observed_scene import ObservedScene
 from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
 from policies.motion.ik import IkResult
 from policies.motion.path_checker import HeightFunction
@@ -86,7 +86,7 @@ class ScriptedPicker:
         self._planner = AttemptPlanner(env.config, env.part.model, self.gripper, self.settings)
         self.rank_stats = RankStats()
         self._warm = False
-        self._last_scene: SeenScene | None = None  # of the last frame that was asked for
+        self._last_scene: ObservedScene | None = None  # scene of the last frame that was asked for
         self.reset()
 
     def with_execution(self, execution: ExecutionMaker) -> "ScriptedPicker":
@@ -98,7 +98,7 @@ class ScriptedPicker:
 
     def reset(self) -> None:
         """Forget the failed attempts of the last bin."""
-        self.failed = FailedGrasps(reach=self._env.part.model.d_max / 4)
+        self.failed = FailedGrasps(radius=self._env.part.model.d_max / 4)
 
     def pick(self) -> PickResult:
         """Make one decision on the last frame: an executed attempt, or an abstention."""
@@ -134,7 +134,7 @@ class ScriptedPicker:
         is not checked.
         """
         ranked, self.rank_stats = rank_grasps(self.observed_scene(), self.grasp_set, self.gripper, self.settings.rank)
-        return self.failed.fresh_first(ranked, self._env.candidates)
+        return self.failed.without_failed(ranked, self._env.candidates)
 
     def reach(self, grasp: GraspCandidate) -> IkResult | Abstention:
         """Solve for the posture at a grasp, or return why there is none that a straight approach could end in.
@@ -155,11 +155,11 @@ class ScriptedPicker:
             return Abstention.NO_CLEAR_APPROACH
         return Plan(grasp=grasp, q_grasp=reached.q, approach=approach, frame_id=self._env.frame_id)
 
-    def observed_scene(self) -> SeenScene:
+    def observed_scene(self) -> ObservedScene:
         """Return the scene in the last frame; it is computed once a frame, when first asked for."""
         env, last = self._env, self._last_scene
         if last is None or last.frame is not env.frame or last.candidates is not env.candidates:
-            last = self._last_scene = SeenScene.from_frame(
+            last = self._last_scene = ObservedScene.from_frame(
                 env.frame,
                 env.candidates,
                 env.workspace,

@@ -11,7 +11,7 @@ from perception.geometry import Floats, invert_transform, require_shape
 from policies.grasping.clearance import RankSettings, clearances
 from policies.grasping.failed_grasps import FailedGrasps
 from policies.grasping.gripper import GripperModel
-from policies.grasping.observed_scene import SeenScene
+from policies.grasping.observed_scene import ObservedScene
 from policies.grasping.outcomes import GraspCandidate
 
 ROOMY = 0.02  # clearance beyond the margin that counts as all one could want [m]
@@ -85,7 +85,7 @@ class GraspScene:
         failed: What was tried in vain.
     """
 
-    seen: SeenScene
+    seen: ObservedScene
     d_max: float
     gripper: GripperModel
     rank: RankSettings
@@ -166,7 +166,7 @@ def _room(scene: GraspScene, grasps: Sequence[GraspCandidate]) -> dict[str, Floa
     owner = np.array([grasp.candidate for grasp in grasps])
     room = np.empty((len(grasps), 3))
     for row in np.unique(owner):
-        own, free = owner == row, scene.seen.parts[row].free
+        own, free = owner == row, scene.seen.parts[row].surroundings
         room[own] = clearances(free, T_world_tcp[own], opening[own], scene.gripper, width=width[own])
     backwards = _backwards(invert_transform(scene.seen.workspace.T_world_bin) @ T_world_tcp)
     room[backwards, :2] = room[backwards, 1::-1]

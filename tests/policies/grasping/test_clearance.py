@@ -13,7 +13,7 @@ from policies.grasping.clearance import RankSettings, RankStats, clearances, ran
 from policies.grasping.grasps import GraspSettings, sample_grasps
 from policies.grasping.gripper import LEFT, PALM, RIGHT, gripper_model
 from policies.grasping.heightmap import HeightMap
-from policies.grasping.observed_scene import SeenScene
+from policies.grasping.observed_scene import ObservedScene
 from tests.policies.grasp_cell import WALL, box, candidate, in_bin, look, placed, workspace
 
 TWIN = runpy.run_path(str(Path(__file__).parents[2] / "reference" / "clearance_twin.py"))["clearances"]
@@ -55,7 +55,7 @@ def ranked(cell, part, grasps, poses, gripper, *, others=(), settings=None):
 
 
 def seen(frame, candidates, cell, grasps):
-    return SeenScene.from_frame(frame, candidates, cell, grasps.surface)
+    return ObservedScene.from_frame(frame, candidates, cell, grasps.surface)
 
 
 def test_a_step_is_where_it_stands(cell):

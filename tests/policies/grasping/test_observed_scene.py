@@ -7,7 +7,7 @@ import trimesh
 from perception.geometry import Floats
 from policies.grasping.clearance import RankSettings
 from policies.grasping.heightmap import HeightMap
-from policies.grasping.observed_scene import SeenScene
+from policies.grasping.observed_scene import ObservedScene
 from policies.picking.scripted import ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.grasp_cell import WALL, box, candidate, look, placed, workspace
@@ -18,9 +18,9 @@ BLOCK = box((0.03, 0.05, 0.04))
 SURFACE = np.asarray(BLOCK.sample(8000, seed=0))
 
 
-def lay_out(*T_bin_parts: Floats, unknown: tuple[trimesh.Trimesh, ...] = ()) -> SeenScene:
+def lay_out(*T_bin_parts: Floats, unknown: tuple[trimesh.Trimesh, ...] = ()) -> ObservedScene:
     frame = look(BIN, [*(BLOCK.copy().apply_transform(T) for T in T_bin_parts), *unknown])
-    return SeenScene.from_frame(frame, [candidate(BIN, BLOCK, T) for T in T_bin_parts], BIN, SURFACE, wall=WALL)
+    return ObservedScene.from_frame(frame, [candidate(BIN, BLOCK, T) for T in T_bin_parts], BIN, SURFACE, wall=WALL)
 
 
 def test_each_part_is_taken_out_of_the_map_and_the_others_stay() -> None:
@@ -30,13 +30,13 @@ def test_each_part_is_taken_out_of_the_map_and_the_others_stay() -> None:
     rasters = [heights.rasterise(SURFACE, c.T_world_part) for c in scene.candidates]
     for row, part in enumerate(scene.parts):
         others = np.max([raster for k, raster in enumerate(rasters) if k != row], axis=0)
-        np.testing.assert_array_equal(part.free.heights, heights.without(rasters[row], others).heights)
+        np.testing.assert_array_equal(part.surroundings.heights, heights.without(rasters[row], others).heights)
 
 
 def test_a_lone_part_leaves_the_floor() -> None:
     (part,) = lay_out(placed(0, 0, 0.02)).parts
     middle = BIN.T_world_bin[:3, 3][None]
-    assert part.free.highest_at(BIN.to_bin(middle))[0] == pytest.approx(0.0, abs=1e-6)
+    assert part.surroundings.highest_at(BIN.to_bin(middle))[0] == pytest.approx(0.0, abs=1e-6)
     assert (part.covering, part.buried) == (0, 0.0)
 
 
@@ -52,13 +52,13 @@ def test_who_lies_above_is_counted_and_what_is_measured_above_too() -> None:
 def test_a_part_beside_the_map_is_buried_and_an_empty_scene_has_no_parts() -> None:
     frame = look(BIN, [])
     astray = candidate(BIN, BLOCK, placed(0.6, 0.4, 0.02))
-    (part,) = SeenScene.from_frame(frame, [astray], BIN, SURFACE, wall=WALL).parts
+    (part,) = ObservedScene.from_frame(frame, [astray], BIN, SURFACE, wall=WALL).parts
     assert (part.covering, part.buried) == (0, 1.0)
-    assert SeenScene.from_frame(frame, [], BIN, SURFACE, wall=WALL).parts == ()
+    assert ObservedScene.from_frame(frame, [], BIN, SURFACE, wall=WALL).parts == ()
 
 
 def test_cell_and_wall_arrive() -> None:
-    scene = SeenScene.from_frame(look(BIN, []), [], BIN, SURFACE, cell=0.004, wall=0.03)
+    scene = ObservedScene.from_frame(look(BIN, []), [], BIN, SURFACE, cell=0.004, wall=0.03)
     assert (scene.heights.cell, scene.heights.outside) == (0.004, -0.03)
 
 
@@ -70,14 +70,14 @@ def tees() -> HandCell:
 def test_a_picker_lays_a_frame_out_once(tees: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
     env, picker = tees.env, tees.picker
     tees.lay(tees.flat())
-    made: list[SeenScene] = []
-    from_frame = SeenScene.from_frame
+    made: list[ObservedScene] = []
+    from_frame = ObservedScene.from_frame
 
-    def counted(*args: object, **options: object) -> SeenScene:
+    def counted(*args: object, **options: object) -> ObservedScene:
         made.append(from_frame(*args, **options))  # type: ignore[arg-type]
         return made[-1]
 
-    monkeypatch.setattr(SeenScene, "from_frame", counted)
+    monkeypatch.setattr(ObservedScene, "from_frame", counted)
     grasps = picker.grasps()
     picker.plan(grasps[0])
     assert picker.observed_scene() is picker.observed_scene() is made[0]

@@ -105,24 +105,24 @@ def parts_at(*places: float) -> list[Any]:
 
 def test_nothing_failed_changes_nothing() -> None:
     ranked = [grasp_at(0.0, 0), grasp_at(0.1, 1)]
-    assert FailedGrasps(reach=0.02).fresh_first(ranked, parts_at(0.0, 0.1)) == ranked
+    assert FailedGrasps(radius=0.02).without_failed(ranked, parts_at(0.0, 0.1)) == ranked
 
 
 def test_parts_that_failed_come_last_and_failed_grasps_not_at_all() -> None:
-    failed = FailedGrasps(reach=0.02)
+    failed = FailedGrasps(radius=0.02)
     failed.add(np.array([0.001, 0.0, 0.0]), grasp_at(0.0).T_world_grasp)
     same, turned, other, also = grasp_at(0.007, 0), grasp_at(0.0, 0, tilt=0.3), grasp_at(0.1, 1), grasp_at(0.009, 0)
-    assert failed.fresh_first([same, turned, also, other], parts_at(0.0, 0.1)) == [other, turned, also]
+    assert failed.without_failed([same, turned, also, other], parts_at(0.0, 0.1)) == [other, turned, also]
 
 
 def test_the_jaw_turned_by_half_is_the_same_grasp() -> None:
-    failed = FailedGrasps(reach=0.02)
+    failed = FailedGrasps(radius=0.02)
     failed.add(np.zeros(3), flip(grasp_at(0.0).T_world_grasp))
-    assert failed.fresh_first([grasp_at(0.0)], parts_at(0.0)) == []
+    assert failed.without_failed([grasp_at(0.0)], parts_at(0.0)) == []
 
 
 @pytest.mark.parametrize(("distance", "suspect"), [(0.019, True), (0.021, False)])
 def test_a_part_is_known_by_where_its_centre_is(distance: float, suspect: bool) -> None:
-    failed = FailedGrasps(reach=0.02)
+    failed = FailedGrasps(radius=0.02)
     failed.add(np.zeros(3), np.eye(4))
     assert failed.suspect(np.array([0.0, distance, 0.0])) is suspect

@@ -13,7 +13,7 @@ from policies.grasping.clearance import RankSettings
 from policies.grasping.failed_grasps import FailedGrasps
 from policies.grasping.grasps import flip
 from policies.grasping.gripper import gripper_model
-from policies.grasping.observed_scene import SeenScene
+from policies.grasping.observed_scene import ObservedScene
 from policies.grasping.outcomes import GraspCandidate
 from policies.selection.features import FEATURES, HIGH, LOW, RANKED, GraspScene, column, feature_rows
 from tests.policies.grasp_cell import WALL, box, candidate, look, placed, workspace
@@ -34,11 +34,11 @@ def seen(*T_bin_parts: Floats, **changes: Any) -> list[PoseCandidate]:
 def scene(candidates: list[PoseCandidate], *unknown: Any) -> GraspScene:
     blocks = [BLOCK.copy().apply_transform(np.linalg.inv(BIN.T_world_bin) @ c.T_world_part) for c in candidates]
     return GraspScene(
-        seen=SeenScene.from_frame(look(BIN, [*blocks, *unknown]), candidates, BIN, SURFACE, wall=WALL),
+        seen=ObservedScene.from_frame(look(BIN, [*blocks, *unknown]), candidates, BIN, SURFACE, wall=WALL),
         d_max=0.05,
         gripper=gripper_model(),
         rank=RankSettings(),
-        failed=FailedGrasps(reach=0.02),
+        failed=FailedGrasps(radius=0.02),
     )
 
 

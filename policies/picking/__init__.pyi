@@ -1,0 +1,11 @@
+from .episode import BinResult as BinResult
+from .episode import Picker as Picker
+from .episode import Termination as Termination
+from .episode import run_bin as run_bin
+from .execution import Execution as Execution
+from .execution import ExecutionSettings as ExecutionSettings
+from .fast_execution import FastExecution as FastExecution
+from .fast_execution import fast_pickers as fast_pickers
+from .scripted import Plan as Plan
+from .scripted import ScriptedPicker as ScriptedPicker
+from .settings import PickerSettings as PickerSettings
