@@ -5,13 +5,14 @@ import trimesh
 from numpy.typing import NDArray
 
 from perception.frame import Frame
-from perception.geometry import Floats, camera_matrix, make_transform, random_rotation, rotation_about
+from perception.geometry import Floats, make_transform, random_rotation, rotation_about
 from perception.part import PartModel, Symmetry
 from perception.pose.model.edge_models import EdgeModel
 from perception.pose.verification.boundary_index import BoundaryIndex, index_boundary
 
 SIZE = (240, 180)  # width, height [px]
-K = camera_matrix(1200.0, *SIZE)
+# Neither square pixels nor a centred principal point: a test fails if a kernel swaps the axes.
+K = np.array([[1200.0, 0.0, 124.5], [0.0, 1250.0, 84.5], [0.0, 0.0, 1.0]])
 DISTANCE, FLOOR = 0.5, 0.56  # depth of the part's centre and of the floor [m]
 HEIGHT = 0.014
 OUTLINE = np.array([(0.0, 0.0), (0.06, 0.0), (0.06, 0.02), (0.02, 0.02), (0.02, 0.045), (0.0, 0.045)])

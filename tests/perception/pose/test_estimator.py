@@ -287,9 +287,9 @@ def test_a_half_turn_of_the_camera_turns_the_pose() -> None:
     turn = rotation_about((0.0, 0.0, 1.0), np.pi)
     scene = scene_of(ELL, FROM_ABOVE)
     points, tangents = scene.boundary.points_cam @ turn.T, scene.boundary.tangents_cam @ turn.T
-    frame = Frame(
-        grey=scene.frame.grey, depth=scene.frame.depth[::-1, ::-1].copy(), K=scene.frame.K, T_world_cam=np.eye(4)
-    )
+    K = scene.frame.K.copy()
+    K[:2, 2] = np.array(at.SIZE) - 1 - K[:2, 2]
+    frame = Frame(grey=scene.frame.grey, depth=scene.frame.depth[::-1, ::-1].copy(), K=K, T_world_cam=np.eye(4))
     (before,), (after,) = groups_of(scene), ESTIMATOR.estimate_groups(cloud(points, tangents), scene.groups(), frame)
     assert before is not None
     assert_at(after, make_transform(turn) @ before.T_cam_part, 5e-5, 0.05)
