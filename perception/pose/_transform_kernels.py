@@ -1,4 +1,4 @@
-"""Compiled transforms of single points and directions, for kernels of every pose package."""
+"""Compiled transforms of single points and directions, for the kernels of all sub-packages."""
 
 import numpy as np
 from numba import njit

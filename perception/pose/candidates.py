@@ -1,6 +1,6 @@
-"""Which groups go to pose estimation, as in the paper: those whose number of boundary points is that of a whole part.
+"""Candidate groups for pose estimation: those whose number of boundary points is nearest to that of a whole part.
 
-Source: section IV.C of the paper; P is the number of boundary points of a part that nothing hides.
+Source: section IV.C of the paper; P is the number of boundary points of an unoccluded part.
 """
 
 from collections.abc import Sequence
@@ -13,24 +13,32 @@ from perception.pose.model.appearances import edge_appearances
 
 
 def expected_points(part: PartModel, K: Floats, depth: float) -> int:
-    """Return P for ``depth`` [m] and camera ``K`` (3, 3) by the part's CAD edges; see `EdgeAppearances`.
+    """Return P, the number of boundary points of an unoccluded part, from its CAD edges; see `EdgeAppearances`.
 
-    Without knowledge of the light every crease counts, also those that a camera would not see.
+    The light is not known, so every crease counts, also those that a camera would not see.
+
+    Args:
+        part: Part whose edges are counted; its mesh must enclose a volume.
+        K: (3, 3) camera matrix [px].
+        depth: Distance of the part from the camera [m].
+
+    Raises:
+        ValueError: ``depth`` is not positive, or the mesh does not enclose a volume.
     """
     return edge_appearances(part).expected_points(K, depth)
 
 
 def nearest_groups(sizes: Sequence[int], expected: int, count: int = 3, tolerance: float = 0.10) -> list[int]:
-    """Return the indices of the ``count`` groups nearest to P, those within (1 +- ``tolerance``) P first.
+    """Return the indices of the ``count`` groups whose numbers of points are nearest to P, the nearest first.
 
-    Nearness is the difference in points, so that the tolerance changes nothing but says which groups are the paper's
-    candidates; ties go to the lower index. Fewer groups give fewer indices.
+    Groups within (1 +- ``tolerance``) P are the paper's candidates. They come first, but the order by difference would
+    put them first anyway. Of equal groups the lower index comes first. Fewer groups give fewer indices.
 
     Args:
-        sizes: Boundary points of each group.
-        expected: P.
-        count: 3 to 5 in the paper.
-        tolerance: 0.1 in the paper.
+        sizes: Number of boundary points of each group.
+        expected: P, the number of boundary points of an unoccluded part.
+        count: Number of groups to return; 3 to 5 in the paper.
+        tolerance: Relative tolerance of P; 0.1 in the paper.
 
     Raises:
         ValueError: ``expected`` or ``count`` is not positive, or ``tolerance`` is negative.

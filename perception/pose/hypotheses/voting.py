@@ -1,7 +1,7 @@
-"""Hough voting: poses of a part from boundary points, by its pair table.
+"""Hough voting: pose hypotheses from boundary points and a part's pair table.
 
-Each reference point of the scene is assumed to lie on the part; its pairs vote on which model point it is, whether the
-two tangents point the same way, and the turn of the part about the tangent.
+Each reference point of the scene is assumed to lie on the part. Its pairs vote for the model point that it is, for
+whether the two tangents point the same way, and for the rotation of the part about the tangent.
 """
 
 import math
@@ -17,16 +17,16 @@ from perception.pose.model.pair_features import WEIGHT_ONE, PairTable, unit, usa
 
 @dataclass(frozen=True, kw_only=True)
 class VoteConfig:
-    """Settings of the accumulator and of what is read from it.
+    """Settings of the accumulator and of its peaks.
 
     Attributes:
-        bins: Of the turn about the tangent.
-        reference_step: Every so many points is a reference ...
-        min_references: ... or closer, so that there are this many if there are as many points.
-        second_peak: A reference's next best pose is kept if it has this share of the best one's votes.
-        second_distance: Poses differ if they move the part's centre by more than this share of ``d_max`` ...
-        second_angle: ... or turn by more than this [rad].
-        keep: Most poses to return; the default is the upper end of what later steps can look at.
+        bins: Number of bins of the rotation about the tangent.
+        reference_step: Step through the boundary points from one reference point to the next.
+        min_references: Number of references below which the step is made smaller.
+        second_peak: Share of the best peak's votes with which the second best pose of a reference is kept.
+        second_distance: Distance of the part's centres above which two poses differ, as a share of ``d_max``.
+        second_angle: Angle above which two poses differ [rad].
+        keep: Largest number of poses to return; the default is as many as later steps can try.
     """
 
     bins: int = 30
@@ -52,12 +52,12 @@ class VoteConfig:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RawPoses:
-    """Poses as voted for, best first; ties in the order of their references.
+    """Poses with their votes, most votes first; of equal ones the lower reference comes first.
 
     Attributes:
-        T_cam_part: (K, 4, 4).
-        votes: (K,) float64 weighted number of pairs in agreement, smoothed over neighbouring turns.
-        reference: (K,) int64 index of the scene point that the pose was found at.
+        T_cam_part: (K, 4, 4) poses of the part in the camera frame.
+        votes: (K,) float64 weighted number of pairs that agree, smoothed over neighbouring rotations.
+        reference: (K,) int64 index of the scene point that each pose was found at.
     """
 
     T_cam_part: Floats
@@ -74,7 +74,7 @@ class RawPoses:
 
 
 def reference_points(count: int, config: VoteConfig | None = None) -> Ints:
-    """Return the indices of the reference points among ``count`` points."""
+    """Return the (Q,) indices of the reference points among ``count`` points."""
     config = config or VoteConfig()
     return np.arange(0, count, min(max(count // config.min_references, 1), config.reference_step))
 
@@ -89,17 +89,20 @@ def vote(
     """Return the poses that the pairs of boundary points vote for.
 
     Args:
-        table: The part's.
-        points_cam: (N, 3) boundary points, camera frame [m], thinned like the model.
-        tangents_cam: (N, 3) directions of their edges, of either sign and any length; points with none are left out.
-        references: (Q,) indices of the points to find poses at; :func:`reference_points` if left out.
-        config: Accumulator.
+        table: Pair table of the part.
+        points_cam: (N, 3) boundary points thinned like the model, camera frame [m].
+        tangents_cam: (N, 3) tangents of any sign and length; points whose tangent is zero are left out.
+        references: (Q,) indices of the points to find poses at; those of :func:`reference_points` if None.
+        config: Settings; the defaults of :class:`VoteConfig` if None.
 
     Returns:
-        Up to ``config.keep`` poses; none where there are no two points that form a pair.
+        Up to ``config.keep`` poses; none if no two points form a pair.
+
+    Raises:
+        ValueError: Shapes differ, or ``references`` are no indices of points.
 
     Note:
-        Deterministic. 1 to 4 ms for a part of 150 points and 25 references, 5 to 9 ms for 400 points and 50.
+        Deterministic. Takes 1 to 4 ms for a part of 150 points and 25 references, 5 to 9 ms for 400 points and 50.
     """
     config = config or VoteConfig()
     require_shape("points_cam", points_cam, (None, 3))
@@ -129,7 +132,7 @@ def vote(
     )
     found = np.flatnonzero(score.ravel() > 0)
     reference = np.repeat(kept[chosen], 2)
-    # A reference's best pose stands before its second one: the sort is stable.
+    # The sort is stable, so that the best pose of a reference comes before its second one.
     order = found[np.lexsort((reference[found], -score.ravel()[found]))][: config.keep]
     return RawPoses(
         T_cam_part=T.reshape(-1, 4, 4)[order],
@@ -139,10 +142,10 @@ def vote(
 
 
 def _positions(references: Ints, kept: Ints, count: int) -> Ints:
-    """Return where the references stand among the ``kept`` of ``count`` points; those left out have no place."""
+    """Return the positions of the references among the ``kept`` of ``count`` points, without those left out."""
     require_shape("references", references, (None,))
     if not np.issubdtype(references.dtype, np.integer):
-        raise ValueError(f"references must be whole numbers, got {references.dtype}")
+        raise ValueError(f"references must be integers, got {references.dtype}")
     if len(references) and (references.min() < 0 or references.max() >= count):
         raise ValueError(f"references must be in [0, {count}), got {references.min()} to {references.max()}")
     place = np.full(count, -1, dtype=np.int64)

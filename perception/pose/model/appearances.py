@@ -1,8 +1,8 @@
-"""What the edges of a part look like from all round: one set of edge points for each of some hundreds of directions.
+"""Edge appearances: the edge points of a part seen from each of some hundreds of directions.
 
-The few views of an :class:`~perception.pose.model.edge_models.EdgeModel` say which edges may vote together; to judge or
-to refine a pose they are too coarse, since between two of them curved silhouettes wander and edges come and go. Here no
-direction is farther than about 5 deg from one that was computed.
+The few views of an :class:`~perception.pose.model.edge_models.EdgeModel` decide which edges may vote together. They are
+too coarse to refine or verify a pose, because between two of them curved silhouettes move and edges appear or vanish.
+Here every direction is within about 5 deg of a computed one.
 """
 
 from dataclasses import dataclass, replace
@@ -20,40 +20,40 @@ from perception.pose.model.edge_models import EdgeModelConfig, edges_by_view, ed
 from perception.pose.model.thinning import thin_points
 from perception.runtime.cache import Arrays, cached_arrays
 
-_VERSION = 2  # of what is stored: raise it whenever the same part and settings give other points
-SUBDIVISIONS = 3  # of the icosahedron: 642 directions
-_CELL = 0.01  # of d_max: pixel of the drawing in which a view's edges are counted; parallel ones merge as in an image
+_VERSION = 2  # of the stored arrays; raise it when the same part and settings give other points
+SUBDIVISIONS = 3  # of the icosahedron whose corners are the directions: 642 of them
+_CELL = 0.01  # share of d_max; pixel in which a view's edges are counted, so that parallel ones merge as in an image
 
 
 class SeenEdges(Protocol):
-    """Anything that knows a part's edges by direction of view."""
+    """Edges of a part by direction of view; :class:`EdgeAppearances` and ``EdgeModel`` are such."""
 
     @property
     def centre(self) -> Floats:
-        """(3,) the part's centre, part frame [m]."""
+        """(3,) centre of the part, part frame [m]."""
         ...
 
     @property
     def d_max(self) -> float:
-        """The part's diameter [m]."""
+        """Diameter of the part [m]."""
         ...
 
     def seen_from(self, direction_part: Floats) -> tuple[Floats, Floats]:
-        """Return (S, 3) edge points [m] and (S, 3) unit tangents, part frame, seen from a (3,) direction."""
+        """Return (S, 3) edge points [m] and (S, 3) unit tangents in the part frame, seen from a (3,) direction."""
         ...
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EdgeAppearances:
-    """Edge points by view; those of view v are ``starts[v]`` up to ``starts[v + 1]``.
+    """Edge points of a part, view by view.
 
     Attributes:
-        views: (V, 3) float64 unit directions from the centre to the camera, part frame.
-        starts: (V + 1,) int64.
-        lengths: (V,) of each view's edges as they are drawn in the image, at the part's distance [m].
-        points: (E, 3) float64 on the mesh, part frame [m].
-        tangents: (E, 3) float64 unit direction of the edge, sign arbitrary.
-        centre: (3,) the part's centre, part frame [m].
+        views: (V, 3) float64 unit directions from the part's centre to the camera, part frame.
+        starts: (V + 1,) int64 index of each view's first point; those of view v end before ``starts[v + 1]``.
+        lengths: (V,) total length of each view's edges as drawn in an image, at the part's distance [m].
+        points: (E, 3) float64 edge points on the mesh, part frame [m].
+        tangents: (E, 3) float64 unit tangents of the edges, sign arbitrary.
+        centre: (3,) centre of the part, part frame [m].
         d_max: Largest distance between two vertices of the part [m].
     """
 
@@ -81,7 +81,7 @@ class EdgeAppearances:
         return self.points[seen], self.tangents[seen]
 
     def every(self, step: int) -> "EdgeAppearances":
-        """Return the same views with every ``step``-th of their points.
+        """Return the same views with every ``step``-th of their points; ``lengths`` stay as they are.
 
         Raises:
             ValueError: ``step`` is not positive.
@@ -94,7 +94,11 @@ class EdgeAppearances:
         return replace(self, starts=starts, points=self.points[chosen], tangents=self.tangents[chosen])
 
     def expected_points(self, K: Floats, depth: float) -> int:
-        """Return P of the paper: the boundary pixels of the part's largest view at ``depth`` [m], seen by camera K.
+        """Return P of the paper: the number of boundary pixels of the part's largest view.
+
+        Args:
+            K: (3, 3) camera matrix [px]; its horizontal focal length sets the scale.
+            depth: Distance of the part from the camera [m].
 
         Raises:
             ValueError: ``depth`` is not positive.
@@ -107,18 +111,19 @@ class EdgeAppearances:
 def edge_appearances(
     part: PartModel, config: EdgeModelConfig | None = None, subdivisions: int = SUBDIVISIONS
 ) -> EdgeAppearances:
-    """Return a part's edges from all round.
+    """Return a part's edge points seen from all directions.
 
     Args:
-        part: Its mesh must enclose a volume.
-        config: What an edge is; its number of views does not matter.
-        subdivisions: Of an icosahedron whose corners are the directions: 2 for 162, 3 for 642.
+        part: Part whose edges are searched for; its mesh must enclose a volume.
+        config: Definition of an edge, without its number of views; the defaults of :class:`EdgeModelConfig` if None.
+        subdivisions: Number of subdivisions of the icosahedron whose corners are the directions; 2 gives 162, 3 gives
+            642.
 
     Raises:
-        ValueError: If the mesh is empty, open or turned inside out.
+        ValueError: The mesh is empty, open or turned inside out.
 
     Note:
-        Deterministic. Kept in the cache folder; the first call takes some seconds.
+        Deterministic. The result is kept in the cache folder; the first call takes some seconds.
     """
     config = config or EdgeModelConfig()
     key = edges_key(part, config, _VERSION) + f"-{subdivisions}"
@@ -154,10 +159,10 @@ def _compute(part: PartModel, config: EdgeModelConfig, subdivisions: int) -> Arr
 
 
 def _drawn_length(points: Floats, tangents: Floats, direction: Floats, cell: float) -> float:
-    """Return the pixels that (S, 3) edge points take as 8-connected lines, times their side ``cell`` [m]."""
+    """Return the number of pixels that (S, 3) edge points cover as 8-connected lines, times their side ``cell`` [m]."""
     across = tangent_frames(direction[None])[0, 1:]
     places, slopes = points @ across.T / cell, tangents @ across.T
-    # A line has one pixel in each column, or in each row if it is steep: the one it passes the column's middle in.
+    # A line has one pixel in each column, or in each row if it is steep: the pixel where it crosses the middle.
     rows = np.arange(len(points))
     major = np.argmax(np.abs(slopes), axis=1)
     pixels = np.round(places)

@@ -1,7 +1,7 @@
-"""Multiple edge appearance models: the edge points of a part and the viewpoints from which each is seen.
+"""Multiple edge appearance models: the edge points of a part, and the views that each of them is visible in.
 
-Reconstructed from the abstract of Liu et al., "PPF-MEAM", Sensors 18 (2018). Edges that are never seen together must
-not vote together, so that each edge point knows its views; one list holds the points of all views.
+Reconstructed from the abstract of Liu et al., "PPF-MEAM", Sensors 18 (2018). Edges that are never visible together must
+not vote together. So one list holds the points of all views, with the views of each point.
 """
 
 from collections.abc import Iterator
@@ -27,21 +27,21 @@ from perception.runtime.cache import Arrays, cached_arrays, digest
 
 Masks = NDArray[np.uint32]
 
-_VERSION = 1  # of what is stored: raise it whenever the same part and settings give other points
-_WINDOW = 0.05  # of d_max: over which a curved silhouette has its direction, that of tangents in a scene (0.05 to 0.08)
-_SAMPLES = 5  # along one thinning distance: kept points are at most 1.2 of it apart on a straight edge
+_VERSION = 1  # of the stored arrays; raise it when the same part and settings give other points
+_WINDOW = 0.05  # share of d_max over which the tangent of a curved silhouette is fitted; 0.05 to 0.08 in scenes
+_SAMPLES = 5  # per thinning distance; kept points on a straight edge are at most 1.2 thinning distances apart
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EdgeModel:
-    """What the edges of a part look like from V viewpoints.
+    """Edge points of a part, and the views that each of them is visible in.
 
     Attributes:
-        points: (M, 3) float64 on the mesh, part frame [m].
-        tangents: (M, 3) float64 unit direction of the edge, sign arbitrary.
-        visibility: (M,) uint32, bit v set where view v sees the point as an edge and no other stands for it.
-        views: (V, 3) float64 unit directions from the centre to the camera, part frame.
-        centre: (3,) the part's centre, part frame [m].
+        points: (M, 3) float64 edge points on the mesh, part frame [m].
+        tangents: (M, 3) float64 unit tangents of the edges, sign arbitrary.
+        visibility: (M,) uint32, bit v set where view v sees the point as an edge and no other point represents it.
+        views: (V, 3) float64 unit directions from the part's centre to the camera, part frame.
+        centre: (3,) centre of the part, part frame [m].
         d_max: Largest distance between two vertices of the part [m].
     """
 
@@ -69,9 +69,12 @@ class EdgeModel:
         return len(self.points)
 
     def nearest_view(self, direction_part: ArrayLike) -> Ints:
-        """Return the (...) view nearest to (..., 3) directions towards the camera, which need not be unit.
+        """Return the (...) indices of the views nearest to (..., 3) directions towards the camera, of any length.
 
         Of equally near views the first is taken.
+
+        Raises:
+            ValueError: A direction is zero, not finite or not of three numbers.
         """
         direction = np.asarray(direction_part, dtype=np.float64)
         if direction.ndim == 0 or direction.shape[-1] != 3:
@@ -82,7 +85,11 @@ class EdgeModel:
         return nearest
 
     def visible_in(self, view: int) -> Bools:
-        """Return the (M,) mask of the edge points of one view."""
+        """Return the (M,) mask of the edge points of one view.
+
+        Raises:
+            ValueError: There is no view of this index.
+        """
         if not 0 <= view < len(self.views):
             raise ValueError(f"view must be in 0 to {len(self.views) - 1}, got {view}")
         visible: Bools = (self.visibility >> np.uint32(view)) & np.uint32(1) == 1
@@ -101,15 +108,26 @@ class EdgeModel:
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeModelConfig:
-    """What counts as an edge and how densely edges are sampled; lengths are in units of the part's ``d_max``."""
+    """Definition of an edge, and density of the edge points.
 
-    views: ViewCount = 14  # cube faces (6, as in the paper), with corners (14), with edges (26)
-    distance: float = 10.0  # of the camera from the part's centre; inf for parallel rays
-    crease: float = float(np.deg2rad(30))  # angle between two normals that shading shows as an edge [rad]
-    depth_jump: float = 0.02  # step of depth that is an edge
-    inset: float = 0.015  # of points from a curved silhouette: beside it, depth is lost to grazing and the nearer taken
-    thinning: float = 0.025  # distance under which parallel edge points are one; wider than fillets
-    thinning_angle: float = float(np.deg2rad(30))  # angle between tangents above which points are not merged [rad]
+    Attributes:
+        views: Number of views: the faces of a cube (6, as in the paper), with its corners (14), with its edges (26).
+        distance: Distance of the camera from the part's centre, as a share of d_max; infinite for parallel rays.
+        crease: Angle between two normals above which shading shows an edge [rad].
+        depth_jump: Step in depth that is an edge, as a share of d_max.
+        inset: Distance of edge points from a curved silhouette, towards the surface, as a share of d_max. At
+            the silhouette depth is lost to grazing incidence, and a boundary point has the nearest depth inside.
+        thinning: Distance below which parallel edge points are merged, as a share of d_max; wider than fillets.
+        thinning_angle: Angle between tangents above which edge points are not merged [rad].
+    """
+
+    views: ViewCount = 14
+    distance: float = 10.0
+    crease: float = float(np.deg2rad(30))
+    depth_jump: float = 0.02
+    inset: float = 0.015
+    thinning: float = 0.025
+    thinning_angle: float = float(np.deg2rad(30))
 
     def __post_init__(self) -> None:
         if self.views not in VIEW_COUNTS:
@@ -128,22 +146,22 @@ class EdgeModelConfig:
 
 
 def edge_model(part: PartModel, config: EdgeModelConfig | None = None) -> EdgeModel:
-    """Return the part's edge points, thinned, with the views that see them.
+    """Return the thinned edge points of a part with the views that each is visible in.
 
-    A point stands for a view that sees it unless another one near it, with nearly the same tangent, does so already:
-    within every view parallel edges closer than the thinning are one line, and each bit holds for the point's exact
-    place. Edges of opposite sides of a thin plate, which no view sees together, stay apart.
+    A point represents a view that sees it, unless another point near it with nearly the same tangent does so already.
+    So parallel edges closer than the thinning become one line in each view, and every bit holds for the exact place of
+    its point. Edges on opposite sides of a thin plate, which no view sees together, stay apart.
 
     Args:
-        part: Its mesh must enclose a volume.
-        config: :class:`EdgeModelConfig`'s defaults if left out.
+        part: Part whose edges are searched for; its mesh must enclose a volume.
+        config: Definition of an edge; the defaults of :class:`EdgeModelConfig` if None.
 
     Raises:
-        ValueError: If the mesh is empty, open or turned inside out.
+        ValueError: The mesh is empty, open or turned inside out.
 
     Note:
-        Deterministic. Kept in the cache folder under a hash of mesh and settings; the first call takes 0.1 s
-        for a mesh of 2000 faces and 14 views.
+        Deterministic. The result is kept in the cache folder under a hash of mesh and settings. The first call takes
+        0.1 s for a mesh of 2000 faces and 14 views.
     """
     config = config or EdgeModelConfig()
     arrays = cached_arrays("edges", edges_key(part, config, _VERSION), lambda: _compute(part, config))
@@ -158,10 +176,10 @@ def edge_model(part: PartModel, config: EdgeModelConfig | None = None) -> EdgeMo
 
 
 def edges_key(part: PartModel, config: EdgeModelConfig, version: int) -> str:
-    """Return the hash of all that the edges of a part depend on.
+    """Return the hash of everything that the edges of a part depend on.
 
     Raises:
-        ValueError: If the mesh is empty, open or turned inside out.
+        ValueError: The mesh is empty, open or turned inside out.
     """
     mesh = part.mesh
     if len(mesh.faces) == 0 or not mesh.is_volume:
@@ -182,9 +200,17 @@ def _compute(part: PartModel, config: EdgeModelConfig) -> Arrays:
 def edges_by_view(
     part: PartModel, directions: Floats, config: EdgeModelConfig
 ) -> Iterator[tuple[Ints, Floats, Floats]]:
-    """Yield for each of (V, 3) unit directions the samples that it sees, and their points and tangents in it.
+    """Yield the visible samples of each view with their points and tangents in this view.
 
-    Samples are ``config.thinning / 5`` apart and numbered alike in all views; directions point towards the camera.
+    Samples are at most ``config.thinning / 5`` apart, and each has the same index in all views.
+
+    Args:
+        part: Part whose edges are sampled.
+        directions: (V, 3) unit directions from the part's centre to the camera.
+        config: Definition of an edge.
+
+    Yields:
+        (S,) indices of the samples, their (S, 3) points [m] and their (S, 3) unit tangents, part frame.
     """
     samples = sample_edges(part.mesh, config.crease, config.thinning * part.d_max / _SAMPLES)
     limits = EdgeLimits(crease=config.crease, depth_jump=config.depth_jump * part.d_max, diameter=part.d_max)
@@ -210,7 +236,7 @@ def _eye(part: PartModel, direction: Floats, distance: float) -> Floats:
 def _merge_views(
     views: list[tuple[Ints, Floats, Floats]], distance: float, angle: float
 ) -> tuple[Floats, Floats, Masks]:
-    """Return points, tangents and view bits; a sample that looks different to another view comes more than once."""
+    """Return points, tangents and view bits; a sample whose point or tangent differs between views comes repeatedly."""
     count = max((int(seen.max(initial=-1)) + 1 for seen, _, _ in views), default=0)
     latest = np.full(count, -1, dtype=np.int64)
     points, tangents = np.zeros((0, 3)), np.zeros((0, 3))
@@ -231,9 +257,9 @@ def _merge_views(
 
 
 def thin(points: Floats, tangents: Floats, masks: Masks, radius: float, angle: float) -> Masks:
-    """Return the (N,) masks of the points that stay, with 0 where a point is left out.
+    """Return the (N,) view bits that remain of the points, 0 for a point that is left out.
 
-    The points that most views see come first; each keeps the views that see no earlier point within ``radius`` [m]
+    The points that most views see come first. Each keeps the views that see no earlier point within ``radius`` [m]
     whose tangent differs by at most ``angle`` [rad].
     """
     pairs = cKDTree(points).query_pairs(radius, output_type="ndarray") if len(points) else np.zeros((0, 2), np.int64)

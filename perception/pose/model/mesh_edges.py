@@ -1,8 +1,8 @@
 """The edges of a mesh that a camera sees: creases, silhouettes and depth jumps, sampled on the mesh itself.
 
-Every discontinuity of depth in the image of a polyhedron lies on a mesh edge between a face that is turned to the
-camera and one that is not, and every step of the normal on a mesh edge too. So no image is drawn: such edges are
-sampled, and rays decide which samples are seen and what lies behind them. Points and tangents are exact.
+In the image of a polyhedron every discontinuity of depth lies on a mesh edge between a face that is turned to the
+camera and one that is not, and every step of the normal lies on a mesh edge, too. So no image is rendered. Such edges
+are sampled, and rays decide which samples are visible and what lies behind them. Points and tangents are exact.
 """
 
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ from perception.geometry import Floats
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-EDGE_ON = 1e-4  # cosine under which a face counts as turned away: an exactly edge-on face must not flicker
-LIFT = 1e-4  # of the diameter: how far a ray starts off the surface, far above Embree's single precision (1e-7)
-ASIDE = 0.004  # of the diameter: how far beside an edge one looks for what lies behind it, a pixel of a close view
-BULGE = 0.25  # of the diameter: a surface that is nearer by more, just inside a silhouette, is another one
-STRAIGHT = 0.9  # linearity under which a chain has a corner and its edges keep their own tangents
+EDGE_ON = 1e-4  # cosine below which a face counts as turned away, so that an edge-on face is never ambiguous
+LIFT = 1e-4  # share of d_max; distance of a ray's origin from the surface, far above Embree's precision (1e-7)
+ASIDE = 0.004  # share of d_max; distance beside an edge of the ray to what lies behind it, a pixel of a close view
+BULGE = 0.25  # share of d_max; a surface inside a silhouette that is nearer by more belongs to another feature
+STRAIGHT = 0.9  # linearity below which a chain has a corner, so that its edges keep their own tangents
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,14 +31,14 @@ class EdgeSamples:
     """Points on the mesh edges where the surface bends.
 
     Attributes:
-        points: (S, 3) part frame [m].
-        tangents: (S, 3) unit, along the edge.
-        faces: (S, 2) the two faces that meet.
-        opposite: (S, 2, 3) the corner of each face that is not on the edge [m].
-        outward: (S, 3) unit mean of both normals.
-        ends: (S, 2) vertices of the edge.
-        length: (S,) of the edge [m].
-        crease: (S,) whether the normals differ by more than the crease angle.
+        points: (S, 3) sampled points, part frame [m].
+        tangents: (S, 3) unit directions of the edges.
+        faces: (S, 2) indices of the two faces that meet at each edge.
+        opposite: (S, 2, 3) corner of each of these faces that is not on the edge, part frame [m].
+        outward: (S, 3) unit mean of the normals of both faces.
+        ends: (S, 2) indices of the vertices of each edge.
+        length: (S,) length of each edge [m].
+        crease: (S,) whether the normals of both faces differ by more than the crease angle.
     """
 
     points: Floats
@@ -53,15 +53,21 @@ class EdgeSamples:
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeLimits:
-    """What counts as an edge; lengths in metres."""
+    """Definition of an edge in absolute units.
 
-    crease: float  # angle between normals that shading shows [rad]
-    depth_jump: float  # step of depth that shading shows [m]
-    diameter: float  # of the part [m]
+    Attributes:
+        crease: Angle between two normals above which shading shows an edge [rad].
+        depth_jump: Step in depth that is an edge [m].
+        diameter: Diameter of the part [m].
+    """
+
+    crease: float
+    depth_jump: float
+    diameter: float
 
 
 def sample_edges(mesh: trimesh.Trimesh, crease: float, step: float) -> EdgeSamples:
-    """Sample every mesh edge at most ``step`` [m] apart, at the middles of equal pieces; flat seams are left out."""
+    """Sample every mesh edge at the middles of equal pieces of at most ``step`` [m]; flat seams are left out."""
     bent = mesh.face_adjacency_angles > 1e-6
     ends = np.asarray(mesh.face_adjacency_edges[bent], dtype=np.int64)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
@@ -86,16 +92,17 @@ def sample_edges(mesh: trimesh.Trimesh, crease: float, step: float) -> EdgeSampl
 
 
 def seen_edges(mesh: trimesh.Trimesh, samples: EdgeSamples, eye: Floats, limits: EdgeLimits) -> Ints:
-    """Return which samples are edges of the view from ``eye``, in ascending order.
+    """Return the ascending indices of the samples that are edges in the view from ``eye``.
 
-    A crease is one where both faces are turned to the camera. Where only one is, the surface ends in the image, and
-    what lies beside it must be nothing, farther by a depth jump, or behind it and turned by the crease angle.
+    A crease is an edge where both faces are turned to the camera. Where only one face is, the surface ends in the
+    image. There must then be nothing beside it, or a surface that is farther by a depth jump, or a surface behind it
+    that differs by the crease angle.
 
     Args:
-        mesh: The part; rays are cast by trimesh with Embree.
-        samples: Of the same mesh.
-        eye: (4,) homogeneous position of the camera [m]; last entry 0 for a parallel view along the first three.
-        limits: What counts as an edge.
+        mesh: Mesh of the part; rays are cast by trimesh with Embree.
+        samples: Samples of the edges of the same mesh.
+        eye: (4,) homogeneous position of the camera, part frame [m]; the last entry is 0 for a parallel view.
+        limits: Definition of an edge.
     """
     front = _facing(mesh, eye)[samples.faces]
     one = front[:, 0] != front[:, 1]
@@ -113,16 +120,24 @@ def seen_edges(mesh: trimesh.Trimesh, samples: EdgeSamples, eye: Floats, limits:
 
 
 def towards_eye(points: Floats, eye: Floats) -> Floats:
-    """Return the (N, 3) unit directions from points to a homogeneous (4,) eye."""
+    """Return the (N, 3) unit directions from (N, 3) points to a homogeneous (4,) position of the camera."""
     return _unit(eye[:3] - eye[3] * points)
 
 
 def inset_points(
     mesh: trimesh.Trimesh, samples: EdgeSamples, chosen: Ints, eye: Floats, inset: float, diameter: float
 ) -> Floats:
-    """Return the (C, 3) points of the surface that an image shows ``inset`` [m] inside chosen curved silhouettes.
+    """Return the (C, 3) points of the surface that an image shows ``inset`` [m] inside curved silhouettes.
 
-    Where the ray finds no surface, or one that is not the curved surface itself, the silhouette's own point is kept.
+    The point on the silhouette itself is kept where the ray meets no surface or one that is not the curved surface.
+
+    Args:
+        mesh: Mesh of the part.
+        samples: Samples of the edges of the same mesh.
+        chosen: (C,) indices of the samples on curved silhouettes.
+        eye: (4,) homogeneous position of the camera, part frame [m]; the last entry is 0 for a parallel view.
+        inset: Distance from the silhouette in the image [m].
+        diameter: Diameter of the part [m].
     """
     points = samples.points[chosen].copy()
     if inset == 0 or len(chosen) == 0:
@@ -139,10 +154,10 @@ def inset_points(
 
 
 def chain_tangents(samples: EdgeSamples, chosen: Ints, radius: float) -> Floats:
-    """Return the (C, 3) tangents of chosen samples, those of short edges from the chain they are part of.
+    """Return the (C, 3) tangents of chosen samples; those of short edges are fitted to the chain they belong to.
 
-    The silhouette of a finely meshed curved surface zigzags along mesh edges; its direction is that of the samples
-    within ``radius`` [m] on the same chain (first principal axis), unless these turn a corner.
+    The silhouette of a finely meshed curved surface zigzags along mesh edges. Its tangent is the first principal axis
+    of the samples within ``radius`` [m] on the same chain, unless these turn a corner.
     """
     tangents = samples.tangents[chosen].copy()
     short = np.nonzero(samples.length[chosen] < radius)[0]
@@ -158,7 +173,8 @@ def chain_tangents(samples: EdgeSamples, chosen: Ints, radius: float) -> Floats:
 
 
 def _facing(mesh: trimesh.Trimesh, eye: Floats) -> Bools:
-    # The height of the eye over a face's plane is the same for all triangles of the plane, so they never disagree.
+    """Return (F,) whether each face is turned to the camera."""
+    # The height of the camera over a face's plane is the same for all triangles of the plane, so they always agree.
     corner = mesh.triangles[:, 0]
     height = np.einsum("fi,fi->f", mesh.face_normals, eye[:3] - eye[3] * corner)
     reach = np.linalg.norm(eye[:3] - eye[3] * mesh.bounds.mean(axis=0))
@@ -167,6 +183,7 @@ def _facing(mesh: trimesh.Trimesh, eye: Floats) -> Bools:
 
 
 def _blocked(mesh: trimesh.Trimesh, origins: Floats, directions: Floats) -> Bools:
+    """Return (R,) whether each ray meets the mesh."""
     if len(origins) == 0:
         return np.zeros(0, dtype=np.bool_)
     hit: Bools = mesh.ray.intersects_first(origins, directions) >= 0
@@ -176,7 +193,7 @@ def _blocked(mesh: trimesh.Trimesh, origins: Floats, directions: Floats) -> Bool
 def _stands_out(
     mesh: trimesh.Trimesh, samples: EdgeSamples, chosen: Ints, near: Ints, towards: Floats, limits: EdgeLimits
 ) -> Bools:
-    """Return for (C,) samples whose face ``near`` alone is seen whether the image changes across the edge."""
+    """Return (C,) whether the image changes across each edge of which only the face ``near`` is visible."""
     if len(chosen) == 0:
         return np.zeros(0, dtype=np.bool_)
     points, rows = samples.points[chosen], np.arange(len(chosen))
@@ -194,6 +211,7 @@ def _stands_out(
 
 
 def _chains(ends: Ints) -> Ints:
+    """Return the (E,) index of the connected chain that each of (E, 2) edges belongs to."""
     vertices, compact = np.unique(ends, return_inverse=True)
     compact = compact.reshape(-1, 2)
     links = coo_matrix((np.ones(len(ends)), (compact[:, 0], compact[:, 1])), shape=(len(vertices), len(vertices)))
@@ -202,7 +220,7 @@ def _chains(ends: Ints) -> Ints:
 
 
 def _scatter(points: Floats, pairs: Ints) -> Floats:
-    """Return the (N, 3, 3) covariance of each point and its neighbours, the second of each pair of it."""
+    """Return the (N, 3, 3) covariance of each point and its neighbours; ``pairs`` are (point, neighbour)."""
     count = np.ones(len(points))
     np.add.at(count, pairs[:, 0], 1)
     offsets = points[pairs[:, 1]] - points[pairs[:, 0]]

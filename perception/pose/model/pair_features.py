@@ -3,7 +3,7 @@
 Source: PPF-MEAM (Liu et al., Sensors 18(8):2719, 2018), reconstructed from its abstract. The feature of an ordered pair
 (r, i) with ``d = p_i - p_r`` consists of ``|d|``, the angles between d and either tangent, and the angle between the
 tangents. A tangent is a line with an arbitrary sign. So each tangent is turned towards d first, and the table stores
-the sign that the reference's tangent had.
+whether the reference's tangent was turned.
 """
 
 import math

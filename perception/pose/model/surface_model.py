@@ -1,4 +1,4 @@
-"""A part's surface as evenly spread points with normals, for comparing a pose with the measured depth."""
+"""A part's surface as evenly spread samples with normals, to compare a pose with the measured depth."""
 
 from dataclasses import dataclass
 
@@ -11,20 +11,20 @@ from perception.geometry import Floats, require_shape
 from perception.part import PartModel
 from perception.pose.model import _surface_kernels
 
-GRAZING = 0.2  # cosine; a surface seen flatter than at about 78 deg is hardly ever measured
+GRAZING = 0.2  # cosine of the incidence angle; beyond about 78 deg a surface is hardly ever measured
 OVERSAMPLING = 12  # random points drawn for each one kept
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfaceModel:
-    """M points on a part's surface.
+    """Samples of a part's surface.
 
     Attributes:
-        points: (M, 3) part frame [m].
-        normals: (M, 3) unit, outwards.
-        spacing: Least distance between two points of one side of the surface [m].
-        centre: (3,) the part's centre, part frame [m].
-        d_max: The part's diameter [m].
+        points: (M, 3) points on the surface, part frame [m].
+        normals: (M, 3) unit outward normals.
+        spacing: Least distance between two points on the same side of the surface [m].
+        centre: (3,) centre of the part, part frame [m].
+        d_max: Diameter of the part [m].
     """
 
     points: Floats
@@ -41,22 +41,22 @@ class SurfaceModel:
             raise ValueError(f"spacing and d_max must be positive, got {self.spacing} and {self.d_max}")
 
     def visible(self, T_cam_part: Floats) -> NDArray[np.bool_]:
-        """Return (M,) whether the camera could see each point if nothing but the part were there."""
+        """Return (M,) whether each point faces the camera in a (4, 4) pose and is not self-occluded."""
         return _surface_kernels.visible_samples(T_cam_part, self.points, self.normals, GRAZING, self.spacing)
 
 
 def surface_model(part: PartModel, spacing: float = 0.03) -> SurfaceModel:
-    """Spread points over a part's surface, the two sides of a thin wall apart from each other.
+    """Sample a part's surface evenly; the two sides of a thin wall are sampled separately.
 
     Args:
-        part: The part.
-        spacing: Least distance of two points, as a share of ``d_max``.
+        part: Part whose surface is sampled.
+        spacing: Least distance between two points, as a share of ``d_max``.
 
     Raises:
         ValueError: ``spacing`` is not between 0 and 1.
 
     Note:
-        A few tenths of a second; the same for the same mesh.
+        Deterministic. Takes a few tenths of a second.
     """
     if not 0 < spacing < 1:
         raise ValueError(f"spacing must be between 0 and 1, got {spacing}")
@@ -64,7 +64,7 @@ def surface_model(part: PartModel, spacing: float = 0.03) -> SurfaceModel:
     count = OVERSAMPLING * int(np.ceil(part.mesh.area / radius**2))
     drawn, faces = trimesh.sample.sample_surface(part.mesh, count, seed=0)
     normals = np.asarray(part.mesh.face_normals, np.float64)[faces]
-    # Normals that differ by 30 deg or more put two points apart as much as a distance of one radius does.
+    # Normals that differ by about 30 deg separate two points as much as a distance of one radius does.
     kept = _first_ones(np.hstack([drawn, normals * (2 * radius)]), radius)
     return SurfaceModel(
         points=np.ascontiguousarray(drawn[kept], dtype=np.float64),
@@ -76,7 +76,7 @@ def surface_model(part: PartModel, spacing: float = 0.03) -> SurfaceModel:
 
 
 def _first_ones(points: Floats, radius: float) -> NDArray[np.bool_]:
-    """Return (N,) whether a point is kept if each in turn is dropped that lies within ``radius`` of a kept one."""
+    """Return (N,) whether each point is kept if points within ``radius`` of an earlier kept one are dropped."""
     tree = cKDTree(points)
     kept = np.ones(len(points), np.bool_)
     for i in range(len(points)):

@@ -1,4 +1,4 @@
-"""Directions from which a part is looked at, spread evenly and the same for every part."""
+"""Directions of view, spread evenly and the same for every part."""
 
 from itertools import product
 from typing import Literal
@@ -12,13 +12,13 @@ VIEW_COUNTS: tuple[ViewCount, ...] = (1, 6, 14, 26)
 
 
 def view_directions(count: ViewCount) -> Floats:
-    """Return (V, 3) unit directions from a part towards the camera, in part axes.
+    """Return (V, 3) unit directions from a part towards the camera, in the part frame.
 
-    The faces of a cube (+z, -z, +x, -x, +y, -y), then its corners, then the middles of its edges. A smaller set is the
-    beginning of a larger one; a single view looks down on +z.
+    They point to the faces of a cube (+z, -z, +x, -x, +y, -y), then to its corners, then to the middles of its edges. A
+    smaller set is the beginning of a larger one, so that a single view looks down on +z.
 
     Raises:
-        ValueError: If ``count`` is none of 1, 6, 14 and 26.
+        ValueError: ``count`` is none of 1, 6, 14 and 26.
     """
     if count not in VIEW_COUNTS:
         raise ValueError(f"views must be one of {list(VIEW_COUNTS)}, got {count}")

@@ -1,4 +1,4 @@
-"""The room that a part takes: no two parts share it, and none reaches through the floor or the walls of a bin."""
+"""Solids of parts: overlap of two posed parts, and protrusion through the floor or the walls of a bin."""
 
 from dataclasses import dataclass
 
@@ -13,19 +13,19 @@ from perception.pose.model.surface_model import SurfaceModel
 from perception.pose.selection._body_kernels import samples_within
 from perception.runtime.cache import Arrays, cached_arrays, digest
 
-_VERSION = 2  # of what is stored: raise it whenever the same part gives another grid
-_CELLS = 80  # of the grid along d_max
-_SAMPLES = 512  # of the surface that are asked whether they lie in another part
+_VERSION = 2  # of the stored arrays; raise it when the same part gives another grid
+_CELLS = 80  # cells of the grid along d_max
+_SAMPLES = 512  # points of the surface that are tested for lying inside another part
 
 
 @dataclass(frozen=True, kw_only=True)
 class BodyConfig:
-    """What is impossible; lengths are shares of d_max. Right poses are inexact, so a little has to be borne.
+    """Tolerances for collisions; even right poses are inexact, so that a little overlap is tolerated.
 
     Attributes:
-        depth: A point of one part's surface this far below another's lies in it.
-        overlap: Two parts share room if more than this share of their surfaces lies in each other.
-        protrusion: A part reaches through the floor or a wall if it does so by more than this.
+        depth: Depth below one part's surface from which a point of another part lies inside it, as a share of d_max.
+        overlap: Share of both surfaces inside the other part above which two parts collide.
+        protrusion: Distance through the floor or a wall above which a pose is impossible, as a share of d_max.
     """
 
     depth: float = 0.01
@@ -43,13 +43,13 @@ class BodyModel:
     """A part as a solid.
 
     Attributes:
-        samples: (M, 3) points spread over its surface, part frame [m].
-        corners: (H, 3) of its convex hull, part frame [m].
-        inside: (X, Y, Z) float32 depth below its surface at points of a grid, negative outside [m].
-        origin: (3,) the grid's first point, part frame [m].
+        samples: (M, 3) points spread over the part's surface, part frame [m].
+        corners: (H, 3) corners of the part's convex hull, part frame [m].
+        inside: (X, Y, Z) float32 depth below the part's surface at the points of a grid, negative outside [m].
+        origin: (3,) first point of the grid, part frame [m].
         cell: Distance between neighbouring points of the grid [m].
-        middle: (3,) of a ball about the part, part frame [m].
-        radius: Of the ball [m].
+        middle: (3,) centre of a ball that encloses the part, part frame [m].
+        radius: Radius of this ball [m].
     """
 
     samples: Floats
@@ -66,7 +66,13 @@ class BodyModel:
         require_shape("inside", self.inside, (None, None, None))
 
     def overlap(self, T_cam_a: Floats, T_cam_b: Floats, depth: float) -> float:
-        """Return the share of two posed parts' surfaces that lies deeper than ``depth`` [m] in the other, in [0, 1]."""
+        """Return the share of both surfaces that lies inside the other part, in [0, 1].
+
+        Args:
+            T_cam_a: (4, 4) pose of the one part in the camera frame.
+            T_cam_b: (4, 4) pose of the other one.
+            depth: Depth below a surface from which a point lies inside [m].
+        """
         away = (T_cam_a[:3, :3] - T_cam_b[:3, :3]) @ self.middle + T_cam_a[:3, 3] - T_cam_b[:3, 3]
         if away @ away >= (2 * self.radius) ** 2:  # most pairs of a bin are far apart
             return 0.0
@@ -76,7 +82,7 @@ class BodyModel:
         return found / (2 * len(self.samples))
 
     def protrusion(self, T_world_part: Floats, workspace: Workspace) -> float:
-        """Return how far a posed part reaches through the floor or, below the rim, through a wall [m]; 0 if nowhere."""
+        """Return how far a posed part reaches through the floor or, below the rim, a wall [m]; 0 if it does not."""
         corners_bin = workspace.to_bin(transform_points(T_world_part, self.corners))
         beyond = np.abs(corners_bin[:, :2]).max(axis=0, initial=0.0, where=corners_bin[:, 2:] < workspace.inner_size[2])
         walls = float((beyond - workspace.inner_size[:2] / 2).max())
@@ -84,14 +90,14 @@ class BodyModel:
 
 
 def body_model(part: PartModel, surface: SurfaceModel) -> BodyModel:
-    """Return a part's body.
+    """Return the solid of a part.
 
     Args:
-        part: Its mesh must enclose a volume.
-        surface: The same part's.
+        part: Part whose mesh encloses a volume.
+        surface: Samples of the same part's surface.
 
     Note:
-        Deterministic. Kept in the cache folder; the first call takes a second or so.
+        Deterministic. The grid is kept in the cache folder; the first call takes about a second.
     """
     mesh = part.mesh
     key = digest(_VERSION, _CELLS, np.asarray(mesh.vertices), np.asarray(mesh.faces), part.d_max)
@@ -113,13 +119,13 @@ def body_model(part: PartModel, surface: SurfaceModel) -> BodyModel:
 def _compute(part: PartModel) -> Arrays:
     cell = part.d_max / _CELLS
     low, high = part.mesh.bounds
-    # Half a cell off the bounds: on a flat face nobody can say whether a point lies within.
+    # Half a cell off the bounds, because it is ambiguous whether a point on a flat face lies inside.
     origin = np.asarray(low, np.float64) - 1.5 * cell
     shape = np.ceil((high - origin) / cell).astype(np.int64) + 3
     axes = [origin[k] + cell * np.arange(shape[k]) for k in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     within = np.asarray(part.mesh.contains(points)).reshape(shape)
-    # The surface lies half a cell from the last grid point on either side of it.
+    # The surface lies half a cell from the nearest grid points on either side.
     depth = distance_transform_edt(within) - 0.5
     height = distance_transform_edt(~within) - 0.5
     return {"inside": (cell * np.where(within, depth, -height)).astype(np.float32), "origin": origin}

@@ -1,7 +1,7 @@
-"""Segments explained by poses: a boundary point on a posed part's surface is that part's, whatever the network said.
+"""Segments explained by poses: a boundary point on the surface of a posed part is assigned to that part.
 
-A network errs where parts touch and where one part is seen in pieces. A pose says where the whole part is, so that its
-pieces come together and what is not its own stays out; what no pose explains keeps its group.
+A network errs where parts touch and where occlusion splits a part into pieces. A pose covers the whole part, so that
+its pieces are joined and foreign points are left out. Points that no pose explains keep their group.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,31 +23,31 @@ Ints = NDArray[np.int64]
 
 
 class PosedPart(Protocol):
-    """What is asked of a pose."""
+    """A pose with a score, such as a :class:`~perception.pose.pose_estimate.PoseEstimate`."""
 
     @property
     def T_cam_part(self) -> Floats:
-        """(4, 4)."""
+        """(4, 4) pose of the part in the camera frame."""
         ...
 
     @property
     def score(self) -> float:
-        """How likely it is right, in [0, 1]."""
+        """Probability that the pose is right, in [0, 1]."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExplanationConfig:
-    """When a pose explains a point, and what becomes of the other points; distances are shares of d_max.
+    """When a pose explains a point, and which groups are kept.
 
     Attributes:
-        min_score: A pose with a lower score explains nothing. It may be far below that of a pose to act on: a pose that
-            is nearly right still knows its points from those of its neighbours.
-        distance: Of a point that a pose explains from the pose's visible surface.
-        sideways: Weight of the distance along the surface, up to its nearest sample, beside that from it.
-        overlap: A pose explains nothing if better ones explain more than this share of what it could: it says again
-            what they say, or lies within them.
-        min_points: A pose that explains fewer explains nothing; what is left of a group is dropped if it is smaller.
+        min_score: Least score of a pose that explains points, in [0, 1]. It may be far below the score of a pose to act
+            on, because a nearly right pose still separates its points from those of its neighbours.
+        distance: Largest distance of an explained point from the part's visible surface, as a share of d_max.
+        sideways: Weight of the distance along the surface to the nearest sample, relative to that from the surface.
+        overlap: Share of the points near a pose that better poses may explain. With a larger share the pose is a
+            duplicate, or lies inside other parts, and explains nothing.
+        min_points: Least number of points of a segment, and of what remains of a group.
     """
 
     min_score: float = 0.05
@@ -75,29 +75,30 @@ def explain_segments(
     surface: SurfaceModel,
     config: ExplanationConfig | None = None,
 ) -> list[Instance]:
-    """Regroup boundary points by the poses found.
+    """Regroup boundary points by estimated poses.
 
-    1. Every pose's points, its segment, are those whose nearest visible surface is its own and near enough.
-    2. The other points keep their groups, even where most of a group is explained: what a pose leaves over of one lies
-       on another part. Too small a remainder is dropped.
-    3. A segment's score is the mean score of its points' groups, or the pose's if that is higher: a segment may be
-       right under a pose that is not. A group's score falls with the share of its points that it has lost.
+    1. The segment of a pose consists of the points whose nearest visible surface is that of the pose and near enough.
+    2. The other points keep their groups, even where most of a group is explained, because the points that a pose
+       leaves over lie on another part. Too small a remainder is dropped.
+    3. The score of a segment is the mean score of its points' groups, or the score of the pose if that is higher,
+       because a segment may be right although its pose is not. The score of a group falls with the share of points that
+       it has lost.
 
     Args:
         boundary: All boundary points of a frame.
-        instances: Groups of them; of overlapping ones the first has a point. There may be none.
-        poses: Of parts that may be there, in any order; None stands for no pose.
-        surface: The part's surface.
-        config: :class:`ExplanationConfig`'s defaults if left out.
+        instances: Groups of these points, possibly none; a point of several groups belongs to the first.
+        poses: Poses of parts in any order; None stands for no pose.
+        surface: Samples of the part's surface.
+        config: Limits; the defaults of :class:`ExplanationConfig` if None.
 
     Returns:
-        Instances without common points, best score first; ``instances`` themselves if no pose has the score.
+        Instances without common points, best score first; the given ones if no pose has the least score.
 
     Raises:
-        ValueError: An instance names points that the cloud has not; a pose is not (4, 4) or not finite.
+        ValueError: An instance has a point index that the cloud lacks, or a pose is not (4, 4) or not finite.
 
     Note:
-        Deterministic. About 11 ms for 25 000 points and 22 poses, 7 ms for 15 000.
+        Deterministic. Takes about 11 ms for 25 000 points and 22 poses, 7 ms for 15 000.
     """
     config = config or ExplanationConfig()
     _require_points(instances, len(boundary))
@@ -122,10 +123,10 @@ def claimed_points(
     """Return (N,) index of the pose that explains each boundary point, -1 for none.
 
     Args:
-        boundary: At least one point.
-        poses: (4, 4) each, best first; the first of equally near ones has a point.
-        surface: The part's surface.
-        config: Distances.
+        boundary: Boundary points of a frame, at least one.
+        poses: (4, 4) poses of parts, best first; a point equally near to several belongs to the first.
+        surface: Samples of the part's surface.
+        config: Limits.
 
     Raises:
         ValueError: A pose is not (4, 4) or not finite.
@@ -147,7 +148,7 @@ def claimed_points(
 
 
 def _distances(T: Floats, surface: SurfaceModel, index: BoundaryIndex, config: ExplanationConfig) -> Floats:
-    """Return (N,) distance of the indexed points from a pose's visible surface, infinite if too far to be its own."""
+    """Return (N,) distance of the indexed points from a pose's visible surface [m], infinite beyond the limit."""
     distances: Floats = _explanation_kernels.surface_distances(
         T,
         surface.points,
@@ -165,21 +166,21 @@ def _distances(T: Floats, surface: SurfaceModel, index: BoundaryIndex, config: E
 
 
 def _segment_scores(claims: Ints, groups: Ints, group_scores: Floats, pose_scores: Sequence[float]) -> Floats:
-    """Return the (P,) scores of segments: the mean of their points' groups, 0 for no group, or the pose's if higher."""
-    mine = claims >= 0
-    said = np.append(group_scores, 0.0)[groups]
-    total = np.bincount(claims[mine], weights=said[mine], minlength=len(pose_scores))
+    """Return the (P,) scores of segments: the mean over their points' groups, 0 for none, or the pose's if higher."""
+    claimed = claims >= 0
+    of_group = np.append(group_scores, 0.0)[groups]
+    total = np.bincount(claims[claimed], weights=of_group[claimed], minlength=len(pose_scores))
     return np.maximum(total / np.maximum(_counts(claims, len(pose_scores)), 1), pose_scores)
 
 
 def _only(labels: Ints, kept: NDArray[np.bool_]) -> Ints:
-    """Return (N,) labels, -1 in place of those that are not kept."""
+    """Return (N,) labels with -1 in place of those that are not kept."""
     only: Ints = np.append(np.where(kept, np.arange(len(kept)), -1), -1)[labels]
     return only
 
 
 def _counts(labels: Ints, number: int) -> Ints:
-    """Return the (number,) points of each label; -1 is no label."""
+    """Return the (number,) numbers of points of each label; -1 is no label."""
     return np.bincount(labels[labels >= 0], minlength=number)
 
 
@@ -187,4 +188,4 @@ def _require_points(instances: Sequence[Instance], count: int) -> None:
     for k, instance in enumerate(instances):
         idx = instance.point_idx
         if len(idx) and not 0 <= idx.min() <= idx.max() < count:
-            raise ValueError(f"instance {k} must name points 0 to {count - 1}, got {idx.min()} to {idx.max()}")
+            raise ValueError(f"instance {k} must have point indices 0 to {count - 1}, got {idx.min()} to {idx.max()}")

@@ -1,4 +1,4 @@
-"""Boundary points sorted by where the camera sees them, so that those near a posed model are found in no time."""
+"""Spatial index of boundary points by their place in the image, for fast matching with a posed model."""
 
 from dataclasses import dataclass
 
@@ -8,21 +8,21 @@ from numpy.typing import NDArray
 from perception.geometry import Floats, require_shape
 from perception.pose.verification import _refine_kernels
 
-MOST_CELLS = 1 << 20  # of the grid; a stray point far aside makes the cells larger, not the grid
+MOST_CELLS = 1 << 20  # a stray point far aside makes the cells larger instead of adding more
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoundaryIndex:
-    """N boundary points in the order of square cells of ``(x / z, y / z)``.
+    """N boundary points sorted by square cells of ``(x / z, y / z)``.
 
     Attributes:
-        points_cam: (N, 3) float64 [m], sorted by cell.
-        tangents_cam: (N, 3) unit, sign arbitrary, or 0 for a point without: that one is never a match.
-        order: (N,) int64 index of each point in the cloud the index was made of.
-        starts: (rows * columns + 1,) int64 index of the first point of each cell, rows one after the other.
-        shape: Rows and columns.
+        points_cam: (N, 3) float64 boundary points sorted by cell, camera frame [m].
+        tangents_cam: (N, 3) unit tangents of these points, sign arbitrary; a point whose tangent is 0 is never matched.
+        order: (N,) int64 index of each point in the cloud that the index was made from.
+        starts: (rows * columns + 1,) int64 index of the first point of each cell, row after row.
+        shape: Number of rows and columns of cells.
         origin: (2,) ``(x / z, y / z)`` of the first cell's corner.
-        cell: Side of a cell.
+        cell: Side of a cell in units of ``x / z``.
     """
 
     points_cam: Floats
@@ -38,7 +38,7 @@ class BoundaryIndex:
 
     @property
     def arrays(self) -> tuple[Floats, Floats, NDArray[np.int64], tuple[int, int], Floats, float]:
-        """What the kernels take."""
+        """Points, tangents, starts, shape, origin and cell, in the order of the kernels' arguments."""
         return self.points_cam, self.tangents_cam, self.starts, self.shape, self.origin, self.cell
 
     def match(
@@ -47,11 +47,11 @@ class BoundaryIndex:
         """Return (M,) indices into ``points_cam`` of the nearest boundary point of like tangent, -1 for none.
 
         Args:
-            T_cam_part: (4, 4).
-            points: (M, 3) part frame [m].
-            tangents: (M, 3) unit, sign arbitrary.
-            gate: Largest distance [m].
-            max_angle: Largest angle between the tangents as lines [rad].
+            T_cam_part: (4, 4) pose of the part in the camera frame.
+            points: (M, 3) model points, part frame [m].
+            tangents: (M, 3) unit tangents of the model points, sign arbitrary.
+            gate: Largest distance of a match [m].
+            max_angle: Largest angle between the tangents of a match as lines [rad].
         """
         return _refine_kernels.match_edges(
             T_cam_part,
@@ -64,18 +64,18 @@ class BoundaryIndex:
 
 
 def index_boundary(points_cam: Floats, tangents_cam: Floats, d_max: float) -> BoundaryIndex:
-    """Return the index of a scene's, or a group's, boundary points.
+    """Return the index of the boundary points of a scene or of a group.
 
     Args:
-        points_cam: (N, 3) camera frame [m].
-        tangents_cam: (N, 3) unit, sign arbitrary, or 0.
-        d_max: Diameter of the part that will be looked for [m]; it sets the cells' size.
+        points_cam: (N, 3) boundary points, camera frame [m].
+        tangents_cam: (N, 3) unit tangents of the points, sign arbitrary, or 0.
+        d_max: Diameter of the part that will be searched for, which sets the size of the cells [m].
 
     Raises:
         ValueError: There is no point, one is not finite or not before the camera, or ``d_max`` is not positive.
 
     Note:
-        About 3 ms for 25 000 points; one index serves every pose of the scene.
+        Takes about 3 ms for 25 000 points. One index serves all poses of the scene.
     """
     require_shape("points_cam", points_cam, (None, 3))
     require_shape("tangents_cam", tangents_cam, (len(points_cam), 3))

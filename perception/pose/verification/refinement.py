@@ -1,7 +1,7 @@
-"""Poses made exact: point-to-line ICP on boundary points, then point-to-plane on the depth image.
+"""Refinement of poses: point-to-line ICP on boundary points, then point-to-plane ICP on the depth image.
 
-Both are Gauss-Newton on SE(3). A motion that the matches do not tell, along parallel edges or about an axis of
-symmetry, is left out of each step: the pose stays where it was.
+Both use Gauss-Newton steps on SE(3). Motions that the matches do not determine, such as along parallel edges or about
+an axis of symmetry, are left out of each step.
 """
 
 from dataclasses import dataclass
@@ -19,16 +19,27 @@ from perception.pose.verification.boundary_index import BoundaryIndex
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeRefinement:
-    """Point-to-line ICP; lengths are shares of d_max unless they say metres."""
+    """Settings of the point-to-line ICP on boundary points.
 
-    gates: tuple[float, ...] = (0.05, 0.02, 0.01)  # largest distance of a match, stage by stage
-    finest: float = 0.0009  # no gate is smaller: three standard deviations of a good sensor's noise [m]
-    iterations: int = 10  # of each stage
-    max_angle: float = float(np.deg2rad(25.0))  # between the tangents of a match [rad]
-    damping: float = 1e-3  # added to each freedom, in shares of a match
-    observable: float = 5e-3  # freedoms that move the matches less than this, in shares of a match, are left out
-    still: float = 1e-5  # a step shorter than this ends a stage
-    min_matched: float = 0.1  # share of the view's edge points matched in the end; with fewer it has not converged
+    Attributes:
+        gates: Largest distance of a match in each stage, as a share of d_max.
+        finest: Lower limit of the gates: three standard deviations of a good sensor's noise [m].
+        iterations: Largest number of steps in each stage.
+        max_angle: Largest angle between the tangents of a match as lines [rad].
+        damping: Number added to each eigenvalue of the Hessian per match.
+        observable: Eigenvalue of the Hessian per match up to which a motion is left out of a step.
+        still: Length of a step that ends a stage, as a share of d_max.
+        min_matched: Share of the view's edge points that must be matched in the end; with fewer it has not converged.
+    """
+
+    gates: tuple[float, ...] = (0.05, 0.02, 0.01)
+    finest: float = 0.0009
+    iterations: int = 10
+    max_angle: float = float(np.deg2rad(25.0))
+    damping: float = 1e-3
+    observable: float = 5e-3
+    still: float = 1e-5
+    min_matched: float = 0.1
 
     def __post_init__(self) -> None:
         if len(self.gates) == 0 or not all(0 < gate < np.inf for gate in self.gates):
@@ -42,17 +53,29 @@ class EdgeRefinement:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceRefinement:
-    """Point-to-plane steps on the depth image; lengths are shares of d_max unless they say metres."""
+    """Settings of the point-to-plane ICP on the depth image.
 
-    gates: tuple[float, ...] = (0.06, 0.02)  # largest distance of a match, stage by stage; Tukey's weight is 0 there
-    finest: float = 0.0009  # no gate is smaller: three standard deviations of a good sensor's noise [m]
-    iterations: int = 5  # of each stage
-    max_angle: float = float(np.deg2rad(40.0))  # between the model's normal and the measured one [rad]
-    reach: int = 3  # of the central differences that give the measured normal [px]
-    damping: float = 1e-3  # added to each freedom, in shares of a match
-    observable: float = 1e-2  # freedoms that move the matches less than this, in shares of a match, are left out
-    still: float = 1e-5  # a step shorter than this ends the refinement
-    min_matched: float = 0.2  # share of the visible samples matched in the end; with fewer it has not converged
+    Attributes:
+        gates: Largest distance of a match in each stage, as a share of d_max; Tukey's weight is 0 there.
+        finest: Lower limit of the gates: three standard deviations of a good sensor's noise [m].
+        iterations: Largest number of steps in each stage.
+        max_angle: Largest angle between the model's normal and the measured one [rad].
+        reach: Half the distance of the pixels whose difference gives the measured normal [px].
+        damping: Number added to each eigenvalue of the Hessian per match.
+        observable: Eigenvalue of the Hessian per match up to which a motion is left out of a step.
+        still: Length of a step that ends a stage, as a share of d_max.
+        min_matched: Share of the visible samples that must be matched in the end; with fewer it has not converged.
+    """
+
+    gates: tuple[float, ...] = (0.06, 0.02)
+    finest: float = 0.0009
+    iterations: int = 5
+    max_angle: float = float(np.deg2rad(40.0))
+    reach: int = 3
+    damping: float = 1e-3
+    observable: float = 1e-2
+    still: float = 1e-5
+    min_matched: float = 0.2
 
     def __post_init__(self) -> None:
         if len(self.gates) == 0 or not all(0 < gate < np.inf for gate in self.gates):
@@ -68,14 +91,14 @@ class SurfaceRefinement:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RefinedPose:
-    """What a refinement came to.
+    """Result of a refinement.
 
     Attributes:
-        T_cam_part: (4, 4).
-        error: Root mean square distance of the matches in this pose [m]; infinite if there are none.
-        inliers: Matches in this pose.
-        iterations: Steps taken.
-        converged: Whether enough was matched and the last step was small; the pose is of no use otherwise.
+        T_cam_part: (4, 4) refined pose of the part in the camera frame.
+        error: Root mean square distance of the matches in this pose [m]; infinite without matches.
+        inliers: Number of matches in this pose.
+        iterations: Number of steps over all stages.
+        converged: Whether enough points are matched and the last step was short; otherwise the pose is of no use.
     """
 
     T_cam_part: Floats
@@ -88,16 +111,16 @@ class RefinedPose:
 def refine_edges(
     T_cam_part: Floats, model: SeenEdges, boundary: BoundaryIndex, config: EdgeRefinement | None = None
 ) -> RefinedPose:
-    """Move a pose until the edges its view shows lie on boundary points.
+    """Refine a pose by fitting the part's visible edges to boundary points.
 
-    Each such model point p is matched with the nearest boundary point q of like tangent t, and the sum of squares of
-    ``(I - t t^T)(R p + t - q)`` is lowered, with a gate that closes from stage to stage.
+    Each edge point p of the pose's view is matched with the nearest boundary point q of like tangent u. The sum of
+    squares of ``(I - u u^T)(R p + t - q)`` is minimised, with a gate that narrows from stage to stage.
 
     Args:
-        T_cam_part: (4, 4) start, off by up to the first gate.
-        model: The part's edges.
-        boundary: Of a scene, or of one group.
-        config: :class:`EdgeRefinement`'s defaults if left out.
+        T_cam_part: (4, 4) initial pose, off by up to the first gate.
+        model: Edge points of the part by direction of view.
+        boundary: Index of the boundary points of a scene, or of one group.
+        config: Settings; the defaults of :class:`EdgeRefinement` if None.
 
     Raises:
         ValueError: The pose is not (4, 4) or not finite.
@@ -128,16 +151,16 @@ def refine_edges(
 def refine_surface(
     T_cam_part: Floats, surface: SurfaceModel, frame: Frame, config: SurfaceRefinement | None = None
 ) -> RefinedPose:
-    """Move a nearly right pose until the part's visible surface lies on the measured one.
+    """Refine a nearly right pose by fitting the part's visible surface to the measured one.
 
-    A sample is matched with the measured point of the pixel it projects to, and its distance to it along the sample's
-    own normal, which has no noise, is lowered; the normal of the organised cloud only decides what may match.
+    A sample is matched with the measured point of the pixel that it projects to. The distance along the sample's own
+    normal, which has no noise, is minimised. The measured normal only decides which samples may match.
 
     Args:
-        T_cam_part: (4, 4) start, off by less than the gate over most of the surface.
-        surface: The part's surface.
-        frame: For depth and K.
-        config: :class:`SurfaceRefinement`'s defaults if left out.
+        T_cam_part: (4, 4) initial pose, off by less than the first gate over most of the surface.
+        surface: Samples of the part's surface.
+        frame: Depth image and camera.
+        config: Settings; the defaults of :class:`SurfaceRefinement` if None.
 
     Raises:
         ValueError: The pose is not (4, 4) or not finite, or the frame has no depth.
@@ -173,11 +196,11 @@ def view_direction(T_cam_part: Floats, centre: Floats) -> Floats:
     """Return the (3,) unit direction from a part's centre to the camera, in the part frame."""
     towards: Floats = -_posed(T_cam_part, centre) @ T_cam_part[:3, :3]
     distance = float(np.linalg.norm(towards))
-    return towards / distance if distance > 0 else np.array([0.0, 0.0, 1.0])  # inside the camera any will do
+    return towards / distance if distance > 0 else np.array([0.0, 0.0, 1.0])  # at the camera any direction will do
 
 
 def require_pose(T_cam_part: Floats) -> Floats:
-    """Return a (4, 4) finite pose as the kernels take it; raise ``ValueError`` for another."""
+    """Return a pose as contiguous float64; raise ``ValueError`` if it is not (4, 4) or not finite."""
     require_shape("T_cam_part", T_cam_part, (4, 4))
     if not np.isfinite(T_cam_part).all():
         raise ValueError(f"T_cam_part must be finite, got {T_cam_part.tolist()}")
@@ -185,9 +208,9 @@ def require_pose(T_cam_part: Floats) -> Floats:
 
 
 def require_depth(frame: Frame) -> None:
-    """Raise ``ValueError`` if nothing was measured."""
-    if not (frame.depth[::16, ::16].any() or frame.depth.any()):  # a look at some pixels is nearly always enough
-        raise ValueError("the frame must have a depth somewhere, it is 0 everywhere")
+    """Raise ``ValueError`` if the frame has no depth anywhere."""
+    if not (frame.depth[::16, ::16].any() or frame.depth.any()):  # some pixels are nearly always enough
+        raise ValueError("the frame must have a depth somewhere, but it is 0 everywhere")
 
 
 def _posed(T: Floats, point: Floats) -> Floats:
@@ -196,7 +219,7 @@ def _posed(T: Floats, point: Floats) -> Floats:
 
 
 def _refined(T: Floats, total: float, count: int, steps: int, settled: bool, wanted: float) -> RefinedPose:
-    """Sum up a refinement that wanted so many matches."""
+    """Return the result of a refinement that needs ``wanted`` matches to converge."""
     return RefinedPose(
         T_cam_part=T,
         error=float(np.sqrt(total / count)) if count else float("inf"),

@@ -341,7 +341,7 @@ def test_config_rejects_nonsense(field, value, text):
         ("points_cam", np.zeros((4, 2)), r"points_cam must be \(N, 3\)"),
         ("tangents_cam", np.ones((3, 3)), r"tangents_cam must be \(4, 3\)"),
         ("references", np.zeros((1, 1), np.int64), r"references must be \(N,\)"),
-        ("references", np.zeros(1), "references must be whole numbers, got float64"),
+        ("references", np.zeros(1), "references must be integers, got float64"),
         ("references", np.array([4]), r"references must be in \[0, 4\), got 4 to 4"),
         ("references", np.array([-1]), r"references must be in \[0, 4\)"),
     ],

@@ -237,7 +237,7 @@ def test_nearly_right_poses_undo_mixed_groups() -> None:
 def test_nonsense_is_refused() -> None:
     boundary = cloud(rim(0.0))
     for outside in (np.array([3, RIM]), np.array([-1, 3])):
-        expected = f"instance 1 must name points 0 to {RIM - 1}, got {outside[0]} to {outside[1]}"
+        expected = f"instance 1 must have point indices 0 to {RIM - 1}, got {outside[0]} to {outside[1]}"
         with pytest.raises(ValueError, match=expected):
             explain_segments(boundary, [group(0, 3), Instance(point_idx=outside, score=0.5)], [], SURFACE)
     with pytest.raises(ValueError, match=r"T_cam_part must be .*, got \(3, 3\)"):
