@@ -22,7 +22,7 @@ from perception.pose.model.appearances import edge_appearances
 from perception.pose.model.edge_models import edge_model
 from perception.pose.model.near_symmetry import near_symmetries
 from perception.pose.model.pair_features import build_table
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from perception.pose.model.thinning import thin_points
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.bodies import body_model

@@ -10,7 +10,7 @@ from perception.part import PartModel
 from perception.pose.clustering import are_alike
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.model.appearances import EdgeAppearances
-from perception.pose.model.surface_model import SurfaceModel
+from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.confidence import confidence
 from perception.pose.verification.perturbation import score_drop

@@ -17,7 +17,7 @@ from perception.instance import Instance
 from perception.metrics.pose_recognition import visible_enough
 from perception.part import PartModel
 from perception.pose.candidates import nearest_groups
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from perception.segmentation.grouping.similarity import GroupingConfig
 
 MODEL_SPACING = 0.012  # of d_max: some ten thousand points

@@ -16,7 +16,7 @@ from perception.instance import Instance, true_instances
 from perception.part import PartModel
 from perception.pose.estimator import PoseEstimator
 from perception.pose.estimator_config import EstimatorConfig
-from perception.pose.model.surface_model import SurfaceModel
+from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.explanation import ExplanationConfig
 from perception.segmentation.grouping.similarity import GroupingConfig

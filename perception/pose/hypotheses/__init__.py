@@ -1,1 +1,5 @@
-"""Pose hypotheses: voting over point pair features."""
+"""Pose hypotheses: Hough voting over point pair features."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

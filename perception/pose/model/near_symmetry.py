@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from perception.geometry import Floats, make_transform, rotation_about
 from perception.part import PartModel
 from perception.pose.clustering import ClusterConfig, cluster_poses
-from perception.pose.model.surface_model import SurfaceModel
+from perception.pose.model.surface_models import SurfaceModel
 from perception.runtime.cache import Arrays, cached_arrays, digest
 
 _VERSION = 1  # of what is stored: raise it whenever the same part and settings give other motions

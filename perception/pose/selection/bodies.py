@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 from perception.frame import Workspace
 from perception.geometry import Floats, invert_transform, require_shape, transform_points
 from perception.part import PartModel
-from perception.pose.model.surface_model import SurfaceModel
+from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.selection._body_kernels import samples_within
 from perception.runtime.cache import Arrays, cached_arrays, digest
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from perception.boundary import BoundaryCloud
 from perception.geometry import Floats
 from perception.instance import Instance, instances_of, labels_of
-from perception.pose.model.surface_model import SurfaceModel
+from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.selection import _explanation_kernels
 from perception.pose.verification.boundary_index import BoundaryIndex, index_boundary
 from perception.pose.verification.refinement import require_pose

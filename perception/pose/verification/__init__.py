@@ -1,1 +1,5 @@
-"""Refinement and verification of pose hypotheses against the frame."""
+"""Refinement, verification and calibrated scores of pose hypotheses."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -11,7 +11,7 @@ import numpy as np
 from perception.frame import Frame
 from perception.geometry import Floats, require_shape
 from perception.pose.model.appearances import SeenEdges
-from perception.pose.model.surface_model import SurfaceModel
+from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.verification import _descent_kernels
 from perception.pose.verification._descent_kernels import MIN_MATCHES
 from perception.pose.verification.boundary_index import BoundaryIndex

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from perception.frame import Frame
 from perception.geometry import Floats
 from perception.pose.model.appearances import SeenEdges
-from perception.pose.model.surface_model import SurfaceModel
+from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.verification import _refine_kernels, _verification_kernels
 from perception.pose.verification.boundary_index import BoundaryIndex
 from perception.pose.verification.refinement import require_depth, require_pose, view_direction

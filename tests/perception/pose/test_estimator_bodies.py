@@ -17,7 +17,7 @@ from perception.pose import hypothesis_scoring
 from perception.pose.estimator import PoseEstimator
 from perception.pose.hypothesis_scoring import HypothesisScorer, ScoredHypothesis
 from perception.pose.model.near_symmetry import NearSymmetryConfig, near_symmetries
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.bodies import BodyConfig
 from perception.pose.verification.confidence import confidence

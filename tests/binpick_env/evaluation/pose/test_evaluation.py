@@ -27,7 +27,7 @@ from perception.frame import Frame
 from perception.instance import Instance
 from perception.part import PartModel
 from perception.pose.estimator_config import EstimatorConfig
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.verification import Verdict
 from perception.runtime.records import RecordError

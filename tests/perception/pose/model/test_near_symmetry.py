@@ -9,7 +9,7 @@ import trimesh
 from perception.geometry import Floats, make_transform, rotation_about, rotation_angle
 from perception.part import PartModel, Symmetry
 from perception.pose.model.near_symmetry import NearSymmetryConfig, near_symmetries
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 
 
 def block(*extents: float, cut: float = 0.0, symmetry: Symmetry | None = None) -> PartModel:

@@ -13,7 +13,7 @@ from numba import njit
 from perception.frame import Workspace
 from perception.geometry import Floats, invert_transform, make_transform, random_rotation, rotation_about
 from perception.part import PartModel
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from perception.pose.selection import bodies as module
 from perception.pose.selection._body_kernels import samples_within
 from perception.pose.selection.bodies import BodyConfig, BodyModel, body_model

@@ -12,7 +12,7 @@ from perception.boundary import BoundaryCloud
 from perception.geometry import Floats, make_transform
 from perception.instance import Instance, labels_of
 from perception.part import PartModel
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from perception.pose.selection.explanation import ExplanationConfig, claimed_points, explain_segments
 from tests.perception.pose import observed_part as at
 from tests.reference import explanation_twin as twin

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception.geometry import Floats, make_transform, random_rotation, rotation_about
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from perception.pose.verification import _descent_kernels as kernels
 from perception.pose.verification._refine_kernels import line_equations
 from perception.pose.verification.boundary_index import index_boundary

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from perception.geometry import Floats, make_transform, rotation_about
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from perception.pose.verification import _refine_kernels as kernels
 from tests.perception.pose import observed_part as at
 from tests.perception.pose.observed_part import SIGMA, K

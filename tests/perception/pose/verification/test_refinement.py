@@ -11,7 +11,7 @@ from perception.geometry import Floats, make_transform, rotation_about
 from perception.metrics.pose_errors import pose_error
 from perception.part import PartModel, Symmetry
 from perception.pose.model.edge_models import EdgeModel
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from perception.pose.verification.boundary_index import index_boundary
 from perception.pose.verification.refinement import (
     EdgeRefinement,

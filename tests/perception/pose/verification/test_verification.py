@@ -11,7 +11,7 @@ from perception.frame import Frame
 from perception.geometry import Floats, make_transform, rotation_about
 from perception.part import PartModel
 from perception.pose.model import _surface_kernels as surface_kernels
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from perception.pose.verification import _refine_kernels as kernels
 from perception.pose.verification.boundary_index import BoundaryIndex, index_boundary
 from perception.pose.verification.verification import (

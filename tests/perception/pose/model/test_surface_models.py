@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from perception.part import PartModel
-from perception.pose.model.surface_model import surface_model
+from perception.pose.model.surface_models import surface_model
 from tests.perception.pose import observed_part as at
 
 ELL = at.ell()

@@ -1,0 +1,17 @@
+from .appearances import EdgeAppearances as EdgeAppearances
+from .appearances import SeenEdges as SeenEdges
+from .appearances import edge_appearances as edge_appearances
+from .edge_models import EdgeModel as EdgeModel
+from .edge_models import EdgeModelConfig as EdgeModelConfig
+from .edge_models import edge_model as edge_model
+from .near_symmetry import NearSymmetryConfig as NearSymmetryConfig
+from .near_symmetry import near_symmetries as near_symmetries
+from .pair_features import PairConfig as PairConfig
+from .pair_features import PairTable as PairTable
+from .pair_features import build_table as build_table
+from .surface_models import SurfaceModel as SurfaceModel
+from .surface_models import surface_model as surface_model
+from .thinning import thin_points as thin_points
+from .viewpoints import VIEW_COUNTS as VIEW_COUNTS
+from .viewpoints import ViewCount as ViewCount
+from .viewpoints import view_directions as view_directions

@@ -1,0 +1,12 @@
+from .boundary_index import BoundaryIndex as BoundaryIndex
+from .boundary_index import index_boundary as index_boundary
+from .confidence import ConfidenceConfig as ConfidenceConfig
+from .refinement import EdgeRefinement as EdgeRefinement
+from .refinement import RefinedPose as RefinedPose
+from .refinement import SurfaceRefinement as SurfaceRefinement
+from .refinement import refine_edges as refine_edges
+from .refinement import refine_surface as refine_surface
+from .verification import ObservedGroup as ObservedGroup
+from .verification import Verdict as Verdict
+from .verification import VerificationConfig as VerificationConfig
+from .verification import verify as verify
