@@ -119,7 +119,7 @@ class FakeEnv:
     parts: int = 3
     delivered: int = 0
     lost: int = 0
-    looks: int = 0
+    extra_frames: int = 0
     frame_id: int = -1
     truncated: bool = False
     render_time: float = 0.0
@@ -159,7 +159,7 @@ class FakeEnv:
         self.frame_id = 0
 
     def look(self) -> None:
-        self.looks += 1
+        self.extra_frames += 1
         self.frame_id += 1
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""A bin with boxes in it, seen from above by exact rays: frames whose every height is known."""
+"""A bin with boxes in it, rendered from above by exact rays: frames whose every height is known."""
 
 import numpy as np
 import trimesh
@@ -24,7 +24,7 @@ def placed(x, y, z, yaw=0.0):
 
 
 def look(cell, meshes_bin, *, width=640, height=480, walls=True):
-    """Return the frame of a camera 0.9 m above the bin's floor that looks straight down along the bin's axes."""
+    """Return the frame of a camera 0.9 m above the bin's floor that points straight down, axes along the bin's."""
     length, across, rim = cell.inner_size
     solids = [box((length + 2 * WALL, across + 2 * WALL, WALL), placed(0, 0, -WALL / 2)), *meshes_bin]
     if walls:

@@ -44,7 +44,7 @@ class HandCell:
     fault: Fault | None = None
 
     def lay(self, *T_bin_parts: Floats, unseen: Sequence[Floats] = (), seed: int = 0) -> None:
-        """Lay parts, let them rest, look; then, unseen by the camera, lay some more. Forget all earlier picks."""
+        """Lay parts, let them rest and take a frame; then lay the ``unseen`` ones. Forget all earlier picks."""
         env, simulation = self.env, self.env.simulation
         env.reset(seed=seed, options={"num_parts": len(T_bin_parts) + len(unseen)})
         for i in range(len(T_bin_parts), simulation.capacity):

@@ -34,13 +34,13 @@ def test_the_number_of_failures_that_end_a_bin_can_be_set(max_failures: int | No
 def test_an_abstention_between_two_failures_does_not_part_them() -> None:
     result, env, _ = play(attempt(MISSED), abstain(), attempt(MISSED))
     assert result.termination is Termination.TWO_FAILURES
-    assert env.looks == 1
+    assert env.extra_frames == 1
 
 
-def test_one_abstention_earns_a_fresh_look_and_the_second_ends_the_bin() -> None:
+def test_a_new_frame_follows_one_abstention_and_a_second_ends_the_bin() -> None:
     result, env, _ = play(abstain(), attempt(DELIVERED), abstain(Abstention.IK_INFEASIBLE), abstain())
     assert result.termination is Termination.ABSTAINED
-    assert env.looks == 2  # not after the last
+    assert env.extra_frames == 2  # not after the last
     assert [pick.abstention is not None for pick in result.picks] == [True, False, True, True]
     assert len(result.attempts) == 1
 
@@ -49,7 +49,7 @@ def test_an_emptied_bin_ends() -> None:
     result, env, _ = play(*[attempt(DELIVERED)] * 3, env=FakeEnv(parts=3))
     assert result.termination is Termination.EMPTY
     assert (result.delivered, result.parts_total) == (3, 3)
-    assert env.looks == 0
+    assert env.extra_frames == 0
 
 
 def test_emptying_the_bin_by_losing_parts_is_no_two_failures() -> None:
@@ -72,11 +72,11 @@ def test_truncation_ends_a_bin() -> None:
 
 
 def test_the_seed_and_the_callback_arrive() -> None:
-    seen: list[PickResult] = []
-    result, env, _ = play(attempt(MISSED), attempt(MISSED), on_pick=seen.append)
+    told: list[PickResult] = []
+    result, env, _ = play(attempt(MISSED), attempt(MISSED), on_pick=told.append)
     assert env.seeds == [5]
     assert result.seed == 5
-    assert tuple(seen) == result.picks
+    assert tuple(told) == result.picks
 
 
 def test_clutter_is_that_of_the_settled_bin() -> None:

@@ -78,7 +78,7 @@ def sent(env: NoteEnv) -> np.ndarray:
 
 def test_a_trajectory_is_followed_from_its_second_sample_to_its_last() -> None:
     env = NoteEnv(force=lambda _: 1e6)
-    assert execution(env).follow(trajectory(), 0.25)  # without a guard, force is nobody's business
+    assert execution(env).follow(trajectory(), 0.25)  # without a guard, the force is ignored
     np.testing.assert_allclose(sent(env)[:, :6], trajectory().q[1:], atol=1e-6)
     assert np.all(sent(env)[:, 6] == 0.25)
 

@@ -89,22 +89,22 @@ def test_two_fast_copies_stay_equal() -> None:
 
 
 @pytest.fixture(scope="module")
-def glide() -> tuple[BinPickEnv, KinematicMotion]:
+def kinematic() -> tuple[BinPickEnv, KinematicMotion]:
     env = BinPickEnv("tee", num_parts=(1, 2), perception="oracle", threads=1)
     env.reset(seed=0)
     return env, KinematicMotion(env.simulation)
 
 
-def test_a_glide_ends_where_the_physics_end(glide: tuple[BinPickEnv, KinematicMotion]) -> None:
+def test_kinematic_motion_ends_where_the_physics_end(kinematic: tuple[BinPickEnv, KinematicMotion]) -> None:
     """After steps at constant velocity the arm is within half a milliradian of where it is put."""
-    env, gliding = glide
+    env, motion = kinematic
     env.reset(seed=0)
     simulation = env.simulation
     way = HOME + np.linspace(0, 1, 11)[:, None] ** 2 * np.array([0.2, -0.1, 0.1, 0.05, 0.0, 0.1])
     for q in way[1:]:
         simulation.step(q, 0.4)
     stepped, speeds = simulation.joint_positions, simulation.joint_velocities
-    gliding.place(way[-2], way[-1], 0.4)
+    motion.place(way[-2], way[-1], 0.4)
     np.testing.assert_allclose(simulation.joint_positions, stepped, atol=2e-3)
     np.testing.assert_allclose(simulation.joint_velocities, speeds, atol=0.05)
     simulation.step(way[-1], 0.4)
@@ -112,42 +112,42 @@ def test_a_glide_ends_where_the_physics_end(glide: tuple[BinPickEnv, KinematicMo
     np.testing.assert_allclose(simulation.joint_positions, way[-1], atol=5e-3)
 
 
-def test_touch_is_noticed_and_a_gripped_part_is_a_lone_load(glide: tuple[BinPickEnv, KinematicMotion]) -> None:
-    env, gliding = glide
+def test_touch_is_noticed_and_a_gripped_part_is_a_lone_load(kinematic: tuple[BinPickEnv, KinematicMotion]) -> None:
+    env, motion = kinematic
     env.reset(seed=0)
-    assert not gliding.touches()
-    assert gliding.lone_load() is None
+    assert not motion.touches()
+    assert motion.lone_load() is None
     inside = HOME.copy()
     inside[1] += 1.2  # into the bin or the table
-    gliding.place(HOME, inside, 0.0)
-    assert gliding.touches()
+    motion.place(HOME, inside, 0.0)
+    assert motion.touches()
 
 
 def test_a_load_is_carried_as_it_hangs(fast: GraspSelectionEnv) -> None:
     """The part keeps its place in the jaw."""
     lay(fast, (0.05, 0.0))
-    offers: list[np.ndarray] = []
-    gliding = fast.picker._execution.keywords["motion"]  # type: ignore[union-attr]
-    carry = gliding.carry
+    poses: list[np.ndarray] = []
+    motion = fast.picker._execution.keywords["motion"]  # type: ignore[union-attr]
+    carry = motion.carry
 
     def watched(part: int, target: np.ndarray) -> None:
         simulation = fast.cell.simulation
         for call in (lambda: None, lambda: carry(part, target)):
             call()
             simulation.refresh()
-            offers.append(np.linalg.inv(simulation.T_world_tcp) @ simulation.part_poses()[part])
+            poses.append(np.linalg.inv(simulation.T_world_tcp) @ simulation.part_poses()[part])
 
-    gliding.carry = watched
+    motion.carry = watched
     try:
         assert step(fast, choices(fast)[0])[4]["outcome"] == "delivered"
     finally:
-        gliding.carry = carry
-    np.testing.assert_allclose(offers[0], offers[1], atol=1e-9)
+        motion.carry = carry
+    np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
 
 
 @pytest.mark.parametrize(("part", "outcome"), [("part_a", GraspOutcome.COLLIDED), ("part_b", GraspOutcome.DOUBLE)])
 def test_what_the_frame_did_not_show_has_its_effect(part: str, outcome: GraspOutcome) -> None:
-    """The glide ends before a part that no camera saw; two lids in one jaw are no lone load."""
+    """Kinematic motion ends before a part that is not in the frame; two lids in one jaw are not a lone load."""
     env = GraspSelectionEnv(part, **SMALL, fast=True)
     cell = HandCell(env.cell, env.picker)
     cell.lay(cell.flat(), unseen=[cell.flat(above=cell.thickness + 0.001)])
@@ -168,8 +168,8 @@ def test_a_state_in_the_other_mode_is_the_same(full: GraspSelectionEnv, fast: Gr
     fast.cell.restore(full.cell.snapshot())
     np.testing.assert_array_equal(full.cell.simulation.part_poses(), fast.cell.simulation.part_poses())
     assert fast.cell.remaining == full.cell.remaining
-    menus = [CandidateGenerator(env.cell, env.picker).offer() for env in (full, fast)]
-    np.testing.assert_array_equal(menus[0].rows, menus[1].rows)
+    candidates = [CandidateGenerator(env.cell, env.picker).offer() for env in (full, fast)]
+    np.testing.assert_array_equal(candidates[0].rows, candidates[1].rows)
 
 
 def test_the_agreement_is_counted() -> None:
@@ -186,8 +186,8 @@ def test_the_agreement_is_counted() -> None:
     assert "delivered in full, missed fast" in text
 
 
-def test_time_is_passed_on_without_motion(glide: tuple[BinPickEnv, KinematicMotion]) -> None:
-    env, _ = glide
+def test_time_is_passed_on_without_motion(kinematic: tuple[BinPickEnv, KinematicMotion]) -> None:
+    env, _ = kinematic
     env.reset(seed=0)
     before = env.simulation.time
     env.skip(5)
@@ -219,13 +219,13 @@ def test_a_probe_leaves_no_trace(mode: str, request: pytest.FixtureRequest) -> N
     assert ends[0] == ends[1]
 
 
-def test_nobody_looks_after_a_probe(fast: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_frame_is_taken_after_a_probe(fast: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     fast.reset(seed=8)
     monkeypatch.setattr(BinPickEnv, "look", lambda _: pytest.fail("a frame was taken"))
     fast.probe(choices(fast)[0])
 
 
-def test_what_is_not_on_offer_cannot_be_probed(fast: GraspSelectionEnv) -> None:
+def test_what_is_no_candidate_cannot_be_probed(fast: GraspSelectionEnv) -> None:
     fast.reset(seed=8)
     with pytest.raises(ValueError, match=r"row 31 holds no grasp, only \[0, "):
         fast.probe(np.int64(31))

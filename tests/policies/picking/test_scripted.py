@@ -46,7 +46,7 @@ def test_a_part_laid_flat_in_the_middle_is_delivered_and_parked(part: str) -> No
     cell = hand_cell(part, 1)
     env = cell.env
     cell.lay(cell.flat(yaw=0.4))
-    assert env.frame_id == 1  # the reset's, and the look at what was laid
+    assert env.frame_id == 1  # the reset's frame, and the one of the parts laid
     result = cell.picker.pick()
     assert result.outcome is GraspOutcome.DELIVERED
     assert result.success
@@ -120,7 +120,7 @@ def test_two_misses_end_a_bin(tees: HandCell, monkeypatch: pytest.MonkeyPatch) -
     assert tees.env.remaining == 1
 
 
-def test_nothing_seen_twice_ends_a_bin_after_one_more_look(tees: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_frames_without_a_candidate_end_a_bin(tees: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
     lie(monkeypatch, tees, Blind())
     with monkeypatch.context() as patch:
         patch.setattr(tees.env, "_num_parts", (2, 2))

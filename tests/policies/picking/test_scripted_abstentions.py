@@ -8,7 +8,7 @@ from policies.grasping.outcomes import Abstention, GraspOutcome
 from tests.policies.hand_cell import HandCell, Shifted, assert_abstains, hand_cell, lie
 
 
-def test_an_empty_bin_offers_no_candidate(tees: HandCell) -> None:
+def test_an_empty_bin_has_no_candidate(tees: HandCell) -> None:
     tees.lay()
     assert tees.env.candidates == []
     assert_abstains(tees, Abstention.NO_CANDIDATE)
