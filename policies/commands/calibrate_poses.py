@@ -38,7 +38,7 @@ def _fit(args: Arguments) -> str:
         load_sample,
         operating_points,
         plain_coefficients,
-        predicted,
+        predicted_confidence,
     )
     from binpick_env.evaluation.pose.evaluation import CONFIG_FILE
     from binpick_env.jobs.text_tables import columns
@@ -57,13 +57,13 @@ def _fit(args: Arguments) -> str:
         [f"{score:g}", str(passed), f"{100 * precision:.1f} %", f"{100 * recall:.1f} %"]
         for score, passed, precision, recall in operating_points(sample, config, SCORES)
     ]
-    lines = [f"{len(sample.right)} poses, {sample.right.sum()} right; {config}"]
+    lines = [f"{len(sample.correct)} poses, {sample.correct.sum()} right; {config}"]
     lines.append(columns([["score", "passed", "precision", "recall"], *rows]))
-    chance = predicted(sample, config)
+    chance = predicted_confidence(sample, config)
     for low in np.arange(0, 1, 0.1):
         inside = (chance >= low) & (chance < low + 0.1 + (low > 0.89))
         if inside.any():
-            share = 100 * sample.right[inside].mean()
+            share = 100 * sample.correct[inside].mean()
             lines.append(f"score {low:.1f} to {low + 0.1:.1f}: {share:.0f} % of {inside.sum()} right")
     if args.json is not None:
         write_atomically(args.json, json_text(plain_coefficients(config)))

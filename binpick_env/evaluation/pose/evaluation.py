@@ -1,4 +1,4 @@
-"""Poses judged on fresh scenes: a map of a pure function over indices, resumable, one file a scene."""
+"""Evaluate a pose estimation method on generated scenes, with one record for each scene; runs can be resumed."""
 
 import logging
 import os
@@ -13,7 +13,7 @@ import numpy as np
 
 from binpick_env.config import CellConfig
 from binpick_env.evaluation.pose.method import PoseMethod, PoseMethodConfig, pose_method
-from binpick_env.evaluation.pose.record import EVIDENCE, STAGES, TRIALS, VERDICT, PoseRecord
+from binpick_env.evaluation.pose.record import STAGES, TRIALS, VERDICT, VERDICT_COLUMNS, PoseRecord
 from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, require_unseen
 from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.jobs.folder_config import ensure_same_config
@@ -42,39 +42,39 @@ RENAMED = {  # names of settings in the previous version's files
 
 @dataclass(frozen=True, kw_only=True)
 class PoseEvaluationConfig:
-    """What an evaluation's numbers depend on, wall clock aside.
+    """Configuration of an evaluation, on which all its numbers but the times depend.
 
     Attributes:
-        scenes: Made anew in memory; their seed must not be a training's.
-        method: What is judged.
+        scenes: Configuration of the scenes, which are generated in memory; no training may have used their seed.
+        method: Method that is evaluated.
     """
 
     scenes: SceneConfig = field(default_factory=SceneConfig)
     method: PoseMethodConfig = field(default_factory=PoseMethodConfig)
 
     def settings(self) -> dict[str, Any]:
-        """Return all settings as plain values, the contents of files by their hash."""
+        """Return all settings as a dict; files are represented by their SHA-256."""
         return {**scene_settings(self.scenes), "method": self.method.settings()}
 
     def load(self) -> PoseMethod:
-        """Return the method, ready to look at the part that lies in the bins."""
+        """Return the method with the models of the part in the bins."""
         return pose_method(self.method, self.scenes.part, self.scenes.unit)
 
     def whole_part_points(self) -> float:
-        """Return P of the paper times the depth it holds at [m]."""
+        """Return P, the number of boundary points of a whole part, times its depth [m]."""
         return whole_part_points(self.scenes.part, self.scenes.unit, self.scenes.camera)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Sight:
-    """What a method makes of a frame.
+class _FrameResult:
+    """Groups and poses of a frame.
 
     Attributes:
-        instances: Groups of points; the true segments where none were used.
-        trials: Indices of those that a recognition rate counts.
-        estimates: All poses.
-        verified: (E,) which of them are delivered.
-        explained: Groups of points after the poses have explained them.
+        instances: Groups of points; the true segments where the whole scene was searched.
+        trials: Indices of the groups that are recognition trials.
+        estimates: Estimated poses, verified or not.
+        verified: Whether each estimate passes verification.
+        explained: Groups of points after explanation by the poses.
         ms: Wall clock of each of `STAGES` [ms].
     """
 
@@ -95,25 +95,25 @@ def evaluate_poses(
     fresh: bool = False,
     pictures: bool = True,
 ) -> Iterator[int]:
-    """Keep the records of scenes 0 to ``count - 1`` and yield each index as it is there.
+    """Write the records of scenes 0 to ``count - 1`` and yield each index once its record exists.
 
     Args:
-        config: What the records depend on.
-        count: How many; more may be asked for later.
-        folder: Where they are kept; whole ones that lie there are not computed again.
-        workers: Processes, each computing on one core; 1 computes in this one, on all cores.
-        fresh: Compute those that lie there, too.
+        config: Configuration of the evaluation.
+        count: Number of scenes; a later run may ask for more.
+        folder: Folder of the records; intact records are kept.
+        workers: Number of worker processes, each on one core. With 1 this process computes, on all cores.
+        fresh: Whether to compute the records that exist again.
         pictures: Whether to keep the grey images.
 
     Raises:
-        ValueError: The folder is another evaluation's, there is no such part, the weights are damaged or have seen
-            these scenes, or nothing is asked for.
+        ValueError: The folder holds another evaluation, there is no such part, the weights are damaged or were trained
+            on these scenes, or ``count`` or ``workers`` is not positive.
         FileNotFoundError: The part's or the weights' file does not exist.
-        WorkerError: A process was killed; every finished scene is kept.
+        WorkerError: A worker process was killed; every finished scene is kept.
     """
     if count < 1 or workers < 1:
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
-    config.load()  # what cannot be loaded must not claim the folder
+    config.load()  # before the folder gets a configuration
     if config.method.network is not None:
         require_unseen(EvaluationConfig(scenes=config.scenes, method=config.method.network))
     ensure_same_config(folder / CONFIG_FILE, _flat(config.settings()), "an evaluation of poses", RENAMED)
@@ -124,65 +124,65 @@ def evaluate_poses(
         else:
             missing.append(index)
     if missing:
-        config.whole_part_points()  # kept on disk, so that the workers find it there
+        config.whole_part_points()  # cached on disk, where the workers find it
     threads = 1 if workers > 1 else len(os.sched_getaffinity(0))
-    yield from map_indices(partial(_keep_scene, config, folder, threads, pictures), missing, workers)
+    yield from map_indices(partial(_save_record, config, folder, threads, pictures), missing, workers)
 
 
 def evaluate_pose_scene(config: PoseEvaluationConfig, index: int, threads: int = 1, picture: bool = True) -> PoseRecord:
-    """Make scene ``index``, estimate its poses and keep what has to be known.
+    """Generate scene ``index`` and estimate its poses.
 
     Args:
-        config: What the record depends on.
-        index: Of the scene.
-        threads: That torch and OpenCV may use.
-        picture: Whether to keep the grey image.
+        config: Configuration of the evaluation.
+        index: Index of the scene.
+        threads: Number of threads that torch and OpenCV may use.
+        picture: Whether the record keeps the grey image.
     """
-    made = make_scene(config.scenes, index)
+    captured = make_scene(config.scenes, index)
     method = config.load()
     with use_threads(threads):
         if not method.warm:
-            _look(config, method, made)
+            _process_frame(config, method, captured)
             method.warm = True
-        sight = _look(config, method, made)
-    scene, frame = made.scene, made.capture.frame
-    u0, v0, u1, v1 = made.capture.region if picture else (0, 0, 0, 0)
-    estimates = sight.estimates
+        result = _process_frame(config, method, captured)
+    scene, frame = captured.scene, captured.capture.frame
+    u0, v0, u1, v1 = captured.capture.region if picture else (0, 0, 0, 0)
+    estimates = result.estimates
     return PoseRecord(
-        labels=labels_of(sight.instances, len(scene.boundary)),
-        confidences=np.array([instance.score for instance in sight.instances], np.float64),
-        explained=labels_of(sight.explained, len(scene.boundary)),
-        explained_confidences=np.array([instance.score for instance in sight.explained], np.float64),
+        labels=labels_of(result.instances, len(scene.boundary)),
+        confidences=np.array([instance.score for instance in result.instances], np.float64),
+        explained=labels_of(result.explained, len(scene.boundary)),
+        explained_confidences=np.array([instance.score for instance in result.explained], np.float64),
         instance_ids=scene.instance_ids,
         visible_fractions=scene.visible_fractions,
         T_cam_parts=scene.T_cam_parts,
-        trials=np.array(sight.trials, np.int64),
+        trials=np.array(result.trials, np.int64),
         poses=np.array([estimate.T_cam_part for estimate in estimates], np.float64).reshape(-1, 4, 4),
         scores=np.array([estimate.score for estimate in estimates], np.float64),
         groups=np.array([estimate.instance_idx for estimate in estimates], np.int64),
-        seen=np.array([estimate.visible_fraction for estimate in estimates], np.float64),
+        estimated_fractions=np.array([estimate.visible_fraction for estimate in estimates], np.float64),
         verdicts=_verdicts(estimates),
-        verified=np.array(sight.verified, np.bool_),
+        verified=np.array(result.verified, np.bool_),
         pixels=scene.boundary.pixels,
         picture=frame.grey[v0:v1, u0:u1],
         corner=(u0, v0),
         K=frame.K,
         whole_scene=not method.by_group,
-        ms=sight.ms,
+        ms=result.ms,
         threads=threads,
         git_commit=git_commit(),
     )
 
 
-def _look(config: PoseEvaluationConfig, method: PoseMethod, made: CapturedScene) -> _Sight:
-    """Segment a frame and estimate its poses, keeping time."""
-    frame, workspace = made.capture.frame, CellConfig().bin.workspace()
+def _process_frame(config: PoseEvaluationConfig, method: PoseMethod, captured: CapturedScene) -> _FrameResult:
+    """Segment a frame and estimate its poses, and measure the time of each stage."""
+    frame, workspace = captured.capture.frame, CellConfig().bin.workspace()
     clock = [time.perf_counter()]
     boundary = extract_boundary(frame, workspace)
     clock.append(time.perf_counter())
     surface = coarse_surface(frame, workspace, method.part.d_max) if method.needs_surface else None
     clock.append(time.perf_counter())
-    instances = method.segments(boundary, surface, made.scene)
+    instances = method.segments(boundary, surface, captured.scene)
     clock.append(time.perf_counter())
     estimates, verified = _poses(method, boundary, instances, frame)
     clock.append(time.perf_counter())
@@ -190,13 +190,13 @@ def _look(config: PoseEvaluationConfig, method: PoseMethod, made: CapturedScene)
     explained = explain_segments(boundary, groups, estimates, method.estimator.surface, method.config.explanation)
     clock.append(time.perf_counter())
     spent = 1000 * np.diff(clock)
-    if not method.needs_surface:  # the truth was looked up, which is no segmentation
+    if not method.needs_surface:  # true segments take no time
         spent[1:3] = 0.0
     trials = _trials(config, boundary, instances)
     alone = _trial_ms(method, boundary, [instances[k] for k in trials], frame)
     *stages, explanation = spent.tolist()
     ms = dict(zip(STAGES, [*stages, alone, explanation, sum(stages)], strict=True))
-    return _Sight(
+    return _FrameResult(
         instances=instances, trials=trials, estimates=estimates, verified=verified, explained=explained, ms=ms
     )
 
@@ -204,18 +204,18 @@ def _look(config: PoseEvaluationConfig, method: PoseMethod, made: CapturedScene)
 def _poses(
     method: PoseMethod, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame
 ) -> tuple[list[PoseEstimate], list[bool]]:
-    """Return all poses of a scene, and which of them are delivered."""
+    """Return all poses of a scene, and whether each passes verification."""
     if not method.by_group:
-        delivered = method.estimator.estimate_scene(boundary, frame)
-        return delivered, [True] * len(delivered)
+        verified = method.estimator.estimate_scene(boundary, frame)
+        return verified, [True] * len(verified)
     estimates = method.estimator.estimate_groups(boundary, instances, frame)
-    kept = {estimate.instance_idx for estimate in method.estimator.verified(estimates)}
+    verified = {estimate.instance_idx for estimate in method.estimator.verified(estimates)}
     found = [estimate for estimate in estimates if estimate is not None]
-    return found, [estimate.instance_idx in kept for estimate in found]
+    return found, [estimate.instance_idx in verified for estimate in found]
 
 
 def _trials(config: PoseEvaluationConfig, boundary: BoundaryCloud, instances: Sequence[Instance]) -> list[int]:
-    """Return the groups that a recognition rate counts: those whose size is nearest to a whole part's."""
+    """Return the recognition trials: the groups whose number of points is nearest to that of a whole part."""
     if not instances:
         return []
     expected = config.whole_part_points() / float(np.median(boundary.points_cam[:, 2]))
@@ -223,7 +223,7 @@ def _trials(config: PoseEvaluationConfig, boundary: BoundaryCloud, instances: Se
 
 
 def _trial_ms(method: PoseMethod, boundary: BoundaryCloud, chosen: Sequence[Instance], frame: Frame) -> float:
-    """Return how long the poses of these groups alone take [ms]; NaN where nothing is done by group."""
+    """Return the time of the poses of these groups alone [ms]; NaN where the whole scene is searched."""
     if not method.by_group or not chosen:
         return np.nan
     start = time.perf_counter()
@@ -233,16 +233,16 @@ def _trial_ms(method: PoseMethod, boundary: BoundaryCloud, chosen: Sequence[Inst
 
 def _verdicts(estimates: Sequence[PoseEstimate]) -> Floats:
     rows = [[*(getattr(e.verdict, name) for name in VERDICT), e.margin, e.score_drop, e.size] for e in estimates]
-    return np.array(rows, np.float64).reshape(-1, len(EVIDENCE))
+    return np.array(rows, np.float64).reshape(-1, len(VERDICT_COLUMNS))
 
 
-def _keep_scene(config: PoseEvaluationConfig, folder: Path, threads: int, picture: bool, index: int) -> int:
+def _save_record(config: PoseEvaluationConfig, folder: Path, threads: int, picture: bool, index: int) -> int:
     evaluate_pose_scene(config, index, threads, picture).save(record_path(folder, index))
     return index
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings by their dotted names, so that a difference names the one that differs."""
+    """Return nested settings with dotted names, so that the message on a difference names the setting."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
         flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}

@@ -1,4 +1,4 @@
-"""Ways to get from a frame to poses behind one door, so that the same evaluation judges all of them."""
+"""Pose estimation methods behind one interface, so that one evaluation compares all of them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -26,14 +26,15 @@ from perception.segmentation.surface import Surface
 
 @dataclass(frozen=True, kw_only=True)
 class PoseMethodConfig:
-    """How a frame becomes poses.
+    """Method that turns a frame into poses.
 
     Attributes:
-        perception: Segments by a trained network ("learned") or the true ones ("gt_masks"), or no segments at all.
-        weights: The network's ``.safetensors`` file.
-        min_points: Smallest true segment; the default is the smallest group of a trained network.
-        estimator: Of the poses.
-        explanation: Of segments by the poses.
+        perception: Origin of the segments: "learned" for a trained network, "gt_masks" for the true segments,
+            "whole_scene" for a search without segments.
+        weights: ``.safetensors`` file of the segmentation network, for "learned".
+        min_points: Smallest number of points of a true segment; the default is that of a trained network's groups.
+        estimator: Configuration of the pose estimator.
+        explanation: Configuration of the explanation of segments by poses.
     """
 
     perception: PosePerception = "gt_masks"
@@ -54,78 +55,78 @@ class PoseMethodConfig:
 
     @property
     def network(self) -> MethodConfig | None:
-        """The segmentation's settings; None without a network."""
+        """Segmentation method; None without a network."""
         return None if self.weights is None else MethodConfig(weights=self.weights)
 
     def settings(self) -> dict[str, Any]:
-        """Return the settings as plain values; weights count by their content, wherever they lie."""
+        """Return the settings as a dict; weights are represented by their SHA-256, whatever their path."""
         return {**asdict(self), "weights": None if self.network is None else self.network.digest()}
 
 
 class Estimator(Protocol):
-    """What is asked of :class:`perception.pose.estimator.PoseEstimator`."""
+    """The methods of :class:`perception.pose.estimator.PoseEstimator` that an evaluation uses."""
 
     surface: SurfaceModel
 
     def estimate_groups(
         self, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame
     ) -> list[PoseEstimate | None]:
-        """Return each instance's pose, None where none was found."""
+        """Return the pose of each instance; None where none was found."""
         ...
 
     def verified(self, estimates: Iterable[PoseEstimate | None], min_score: float | None = None) -> list[PoseEstimate]:
-        """Return those that are delivered."""
+        """Return the estimates that pass verification."""
         ...
 
     def estimate_scene(self, boundary: BoundaryCloud, frame: Frame) -> list[PoseEstimate]:
-        """Return the poses that are delivered without segments."""
+        """Return the verified poses of a search without segments."""
         ...
 
 
 class PoseMethod:
-    """A method with its models built and its network loaded."""
+    """Pose estimation method with the part's models built and the network loaded."""
 
     def __init__(self, config: PoseMethodConfig, part: PartModel) -> None:
         """Build the part's models, which takes seconds the first time.
 
         Raises:
-            WeightsError: The weights do not hold a whole network.
+            WeightsError: The weights file does not hold a complete network.
         """
         self.config = config
         self.part = part
-        self.warm = False  # whether it has seen anything: the first time is slower
+        self.warm = False  # whether it has processed a frame: the first one takes longer
         self.estimator = make_estimator(part, config.estimator)
         self._segmenter = None if config.network is None else segmenter(config.network)
 
     @property
     def needs_surface(self) -> bool:
-        """Whether segments depend on the frame's surface."""
+        """Whether the segmentation needs the frame's surface."""
         return self._segmenter is not None
 
     @property
     def by_group(self) -> bool:
-        """Whether poses are searched in segments."""
+        """Whether poses are searched in each group of points, not in the whole scene."""
         return self.config.perception != "whole_scene"
 
     def segments(self, boundary: BoundaryCloud, surface: Surface | None, scene: BoundaryScene) -> list[Instance]:
-        """Return the groups of points; without a network those of the parts that have enough points, all of score 1."""
+        """Return groups by the network; without one, the true segments of at least ``min_points``, with score 1."""
         if self._segmenter is not None and surface is not None:
             return self._segmenter.segment(boundary, surface, self.part.d_max)
         return true_instances(scene.instance_ids, self.config.min_points)
 
 
 def make_estimator(part: PartModel, config: EstimatorConfig) -> Estimator:
-    """Build the estimator of a part's poses in the standard bin."""
+    """Build the pose estimator of a part in the standard bin."""
     return PoseEstimator(part, config, CellConfig().bin.workspace())
 
 
 def pose_method(config: PoseMethodConfig, part: str, unit: Unit | None = None) -> PoseMethod:
-    """Return the method, kept from call to call as long as settings, part and weights stay what they are.
+    """Return the method with its models; it is cached until settings, part or weights change.
 
     Args:
-        config: Of the method.
+        config: Configuration of the method.
         part: Catalogue name, or path of a mesh file.
-        unit: Of a file's coordinates; the plausible one unless given.
+        unit: Length unit of a mesh file; the most plausible one by default.
     """
     return _loaded(config, part, unit, None if config.network is None else config.network.digest())
 

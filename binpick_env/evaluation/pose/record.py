@@ -1,4 +1,4 @@
-"""What is kept of every scene whose poses were estimated: segments and poses beside the truth, in one file."""
+"""Record of a scene whose poses were estimated: groups, poses and ground truth, in one file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +15,12 @@ from perception.runtime.records import RecordFormat
 FORMAT = RecordFormat(kind="pose record", version=2, remedy="evaluate_pose makes it again")
 STAGES = ("boundary", "surface", "segmentation", "pose", "trials", "explanation", "total")
 VERDICT = ("edge_score", "explained", "support", "violation", "measured")
-EVIDENCE = (*VERDICT, "margin", "score_drop", "size")  # of each pose
-TRIALS = 3  # groups of a scene whose poses the paper counts
-_INTS = {"labels": np.int32, "explained": np.int32, "instance_ids": np.int16, "pixels": np.int16}  # as they are stored
+VERDICT_COLUMNS = (*VERDICT, "margin", "score_drop", "size")
+TRIALS = 3  # recognition trials in each scene, as in the paper
+_INTS = {"labels": np.int32, "explained": np.int32, "instance_ids": np.int16, "pixels": np.int16}  # stored types
 _PLAIN = ("confidences", "explained_confidences", "visible_fractions", "T_cam_parts", "trials", "poses", "scores")
-_KEPT = (*_INTS, *_PLAIN, "groups", "seen", "verdicts", "verified", "picture", "K")
+_ARRAYS = (*_INTS, *_PLAIN, "groups", "estimated_fractions", "verdicts", "verified", "picture", "K")
+_STORED_NAMES = {"estimated_fractions": "seen"}  # array names in the file that differ from the field's name
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -28,29 +29,29 @@ class PoseRecord:
 
     Attributes:
         labels: (N,) int64 group of each point, -1 for none. Where the whole scene was searched at once, the groups are
-            the true segments, and only say which parts the trials are about.
-        confidences: (G,) the segmentation's, of the groups.
-        explained: (N,) int64 group of each point after the poses have explained them, -1 for none.
-        explained_confidences: (X,) of these groups.
-        instance_ids: (N,) int64 part that each point lies on, -1 for the container.
-        visible_fractions: (P,) in [0, 1].
-        T_cam_parts: (P, 4, 4) true poses.
-        trials: (at most `TRIALS`,) int64 groups that a recognition rate counts.
-        poses: (E, 4, 4) estimated ``T_cam_part``: at most one a group, whether it was verified or not.
-        scores: (E,) in [0, 1].
-        groups: (E,) int64 group that each pose was found in, -1 if in the whole scene.
-        seen: (E,) estimated share of the part that is visible.
-        verdicts: (E, 8) the numbers of `EVIDENCE`.
-        verified: (E,) bool what the estimator delivers.
+            the true segments, which only define the trials.
+        confidences: (G,) confidence of each group by the segmentation, in [0, 1].
+        explained: (N,) int64 group of each point after explanation by the poses, -1 for none.
+        explained_confidences: (X,) confidence of each group after explanation, in [0, 1].
+        instance_ids: (N,) int64 true part of each point, -1 for the container.
+        visible_fractions: (P,) true visible fraction of each part, in [0, 1].
+        T_cam_parts: (P, 4, 4) true poses in the camera frame.
+        trials: (T,) int64 groups that are recognition trials; T is at most `TRIALS`.
+        poses: (E, 4, 4) estimated ``T_cam_part``, verified or not; at most one for each group.
+        scores: (E,) score of each pose, in [0, 1].
+        groups: (E,) int64 group that each pose was found in, -1 for the whole scene.
+        estimated_fractions: (E,) visible fraction that the estimator assigns to each pose.
+        verdicts: (E, 8) verification results of each pose, in the order of `VERDICT_COLUMNS`.
+        verified: (E,) bool, whether the estimator returns the pose.
         pixels: (N, 2) int64 pixel (u, v) of each point.
-        picture: (h, w) uint8 grey image around the bin; (0, 0) if none was kept.
-        corner: Column and row of its first pixel in the camera's image.
-        K: (3, 3) of the camera [px].
+        picture: (h, w) uint8 grey image around the bin; (0, 0) if it was not kept.
+        corner: Column and row of the picture's first pixel in the camera's image.
+        K: (3, 3) camera matrix [px].
         whole_scene: Whether poses were searched in the whole scene at once.
-        ms: Wall clock of each of `STAGES` [ms]: "pose" of all groups, "trials" of the trials' groups alone, NaN where
-            there is none; "total" is without the latter, and without "explanation".
-        threads: That computed at the same time.
-        git_commit: Of the code that made it, "" outside of a checkout.
+        ms: Wall clock of each of `STAGES` [ms]. "pose" is that of all groups, "trials" that of the trials' groups alone
+            (NaN without any). "total" excludes "trials" and "explanation".
+        threads: Number of threads that computed the scene.
+        git_commit: Commit of the code that made the record; empty outside a Git checkout.
     """
 
     labels: NDArray[np.int64]
@@ -64,7 +65,7 @@ class PoseRecord:
     poses: Floats
     scores: Floats
     groups: NDArray[np.int64]
-    seen: Floats
+    estimated_fractions: Floats
     verdicts: Floats
     verified: NDArray[np.bool_]
     pixels: NDArray[np.int64]
@@ -83,8 +84,8 @@ class PoseRecord:
         require_shape("pixels", self.pixels, (count, 2))
         require_shape("T_cam_parts", self.T_cam_parts, (len(self.visible_fractions), 4, 4))
         require_shape("poses", self.poses, (estimates, 4, 4))
-        require_shape("verdicts", self.verdicts, (estimates, len(EVIDENCE)))
-        for name in ("scores", "groups", "seen", "verified"):
+        require_shape("verdicts", self.verdicts, (estimates, len(VERDICT_COLUMNS)))
+        for name in ("scores", "groups", "estimated_fractions", "verified"):
             require_shape(name, getattr(self, name), (estimates,))
         for name in ("labels", "trials", "groups", "explained"):
             highest = getattr(self, name).max(initial=-1)
@@ -99,25 +100,25 @@ class PoseRecord:
         return np.bincount(self.labels + 1, minlength=len(self.confidences) + 1)[1:]
 
     def owners(self) -> tuple[NDArray[np.int64], Floats]:
-        """Return the (G,) part that owns most of each group's points, and that share of its points.
+        """Return the (G,) part that most of each group's points lie on, and the (G,) share of its points on that part.
 
-        Of equal parts the first; -1 and 0 for a group without a point on any part.
+        Ties go to the part of the lowest index. A group without points on parts has part -1 and share 0.
         """
         groups, parts = len(self.confidences), len(self.visible_fractions)
         inside = (self.labels >= 0) & (self.instance_ids >= 0)
-        shared = np.zeros((groups, parts + 1), np.int64)  # one column more, so that there is one without any part
+        shared = np.zeros((groups, parts + 1), np.int64)  # at least one column, also without parts
         np.add.at(shared, (self.labels[inside], self.instance_ids[inside]), 1)
         most = shared.max(axis=1, initial=0)
         owners = np.where(most > 0, shared.argmax(axis=1), -1)
         return owners, most / np.maximum(self.sizes(), 1)
 
     def segmentation(self, explained: bool = False) -> SceneRecord:
-        """Return the groups alone, for what judges and draws segmentations; its points at contours are not counted.
+        """Return the groups as a record of a segmentation, without counts of points at contours.
 
         Args:
-            explained: Those after the poses have explained them.
+            explained: Whether to return the groups after explanation by the poses.
         """
-        spent = {name: self.ms[name] for name in SEGMENTATION_STAGES if name != "total"}
+        ms = {name: self.ms[name] for name in SEGMENTATION_STAGES if name != "total"}
         return SceneRecord(
             labels=self.explained if explained else self.labels,
             scores=self.explained_confidences if explained else self.confidences,
@@ -128,14 +129,14 @@ class PoseRecord:
             corner=self.corner,
             wrong_side=0,
             contour=0,
-            ms={**spent, "total": sum(spent.values())},
+            ms={**ms, "total": sum(ms.values())},
             threads=self.threads,
             git_commit=self.git_commit,
         )
 
     def save(self, path: Path) -> None:
-        """Write a compressed file in one piece, or not at all."""
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in _KEPT}
+        """Write the record as a compressed file, atomically."""
+        arrays: dict[str, Any] = {_STORED_NAMES.get(name, name): getattr(self, name) for name in _ARRAYS}
         arrays |= {name: arrays[name].astype(kind) for name, kind in _INTS.items()}
         arrays |= {
             "corner": np.array(self.corner, np.int64),
@@ -157,9 +158,9 @@ class PoseRecord:
 
     @classmethod
     def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "PoseRecord":
-        kept: dict[str, Any] = {name: arrays[name] for name in _KEPT}
+        fields: dict[str, Any] = {name: arrays[_STORED_NAMES.get(name, name)] for name in _ARRAYS}
         return cls(
-            **(kept | {name: kept[name].astype(np.int64) for name in _INTS}),
+            **(fields | {name: fields[name].astype(np.int64) for name in _INTS}),
             corner=(int(arrays["corner"][0]), int(arrays["corner"][1])),
             ms=dict(zip(STAGES, arrays["ms"].tolist(), strict=True)),
             whole_scene=bool(arrays["whole_scene"]),

@@ -1,4 +1,4 @@
-"""Segmentation judged on fresh scenes: a map of a pure function over indices, resumable, one file a scene."""
+"""Evaluate a segmentation method on generated scenes, with one record for each scene; runs can be resumed."""
 
 import logging
 import os
@@ -34,18 +34,18 @@ CONFIG_FILE = "evaluation.json"
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationConfig:
-    """What an evaluation's numbers depend on, wall clock aside.
+    """Configuration of an evaluation, on which all its numbers but the times depend.
 
     Attributes:
-        scenes: Made anew in memory; their seed must not be a training's.
-        method: What is judged.
+        scenes: Configuration of the scenes, which are generated in memory; no training may have used their seed.
+        method: Method that is evaluated.
     """
 
     scenes: SceneConfig = field(default_factory=SceneConfig)
     method: MethodConfig
 
     def settings(self) -> dict[str, Any]:
-        """Return all settings as plain values, the contents of files by their hash."""
+        """Return all settings as a dict; files are represented by their SHA-256."""
         return {**scene_settings(self.scenes), "method": self.method.settings()}
 
 
@@ -58,26 +58,26 @@ def evaluate_scenes(
     fresh: bool = False,
     pictures: bool = True,
 ) -> Iterator[int]:
-    """Keep the records of scenes 0 to ``count - 1`` and yield each index as it is there.
+    """Write the records of scenes 0 to ``count - 1`` and yield each index once its record exists.
 
     Args:
-        config: What the records depend on.
-        count: How many; more may be asked for later.
-        folder: Where they are kept; whole ones that lie there are not computed again.
-        workers: Processes, each computing on one core; 1 computes in this one, on all cores.
-        fresh: Compute those that lie there, too.
-        pictures: Whether to keep the grey images, two thirds of a record.
+        config: Configuration of the evaluation.
+        count: Number of scenes; a later run may ask for more.
+        folder: Folder of the records; intact records are kept.
+        workers: Number of worker processes, each on one core. With 1 this process computes, on all cores.
+        fresh: Whether to compute the records that exist again.
+        pictures: Whether to keep the grey images, two thirds of a record's size.
 
     Raises:
-        ValueError: The folder is another evaluation's, there is no such part, the weights are damaged or have seen
-            these scenes, or nothing is asked for.
+        ValueError: The folder holds another evaluation, there is no such part, the weights are damaged or were trained
+            on these scenes, or ``count`` or ``workers`` is not positive.
         FileNotFoundError: The part's or the weights' file does not exist.
-        WorkerError: A process was killed; every finished scene is kept.
+        WorkerError: A worker process was killed; every finished scene is kept.
     """
     if count < 1 or workers < 1:
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
     load_part(config.scenes.part, unit=config.scenes.unit)
-    segmenter(config.method)  # what cannot be loaded must not claim the folder
+    segmenter(config.method)  # before the folder gets a configuration
     require_unseen(config)
     ensure_same_config(folder / CONFIG_FILE, config.settings(), "an evaluation")
     missing = []
@@ -87,17 +87,17 @@ def evaluate_scenes(
         else:
             missing.append(index)
     threads = 1 if workers > 1 else len(os.sched_getaffinity(0))
-    yield from map_indices(partial(_keep_scene, config, folder, threads, pictures), missing, workers)
+    yield from map_indices(partial(_save_record, config, folder, threads, pictures), missing, workers)
 
 
 def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, picture: bool = True) -> SceneRecord:
-    """Make scene ``index``, segment it and keep what has to be known: the same whatever was evaluated before.
+    """Generate and segment scene ``index``; all but the times is independent of other scenes.
 
     Args:
-        config: What the record depends on.
-        index: Of the scene.
-        threads: That torch and OpenCV may use.
-        picture: Whether to keep the grey image.
+        config: Configuration of the evaluation.
+        index: Index of the scene.
+        threads: Number of threads that torch and OpenCV may use.
+        picture: Whether the record keeps the grey image.
     """
     scene, capture = make_scene(config.scenes, index)
     method = segmenter(config.method)
@@ -125,7 +125,11 @@ def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, pictu
 
 
 def require_unseen(config: EvaluationConfig) -> None:
-    """Refuse scenes that the weights were trained or chosen on, as far as their record says so."""
+    """Refuse scenes that the weights were trained or validated on, according to their record.
+
+    Raises:
+        ValueError: The weights were trained or validated on scenes of this part and seed.
+    """
     if config.method.weights is None:
         return
     record = load_record(config.method.weights)
@@ -140,7 +144,7 @@ def require_unseen(config: EvaluationConfig) -> None:
 
 
 def _segment(method: Segmenter, frame: Frame, d_max: float) -> tuple[list[Instance], dict[str, float]]:
-    """Return a frame's instances, and what each of `STAGES` took [ms]."""
+    """Return the instances of a frame, and the time of each of `STAGES` [ms]."""
     workspace = CellConfig().bin.workspace()
     clock = [time.perf_counter()]
     boundary = extract_boundary(frame, workspace)
@@ -149,11 +153,11 @@ def _segment(method: Segmenter, frame: Frame, d_max: float) -> tuple[list[Instan
     clock.append(time.perf_counter())
     instances = method.segment(boundary, surface, d_max)
     clock.append(time.perf_counter())
-    spent = [*np.diff(clock), clock[-1] - clock[0]]
-    return instances, {name: 1000 * float(seconds) for name, seconds in zip(STAGES, spent, strict=True)}
+    seconds = [*np.diff(clock), clock[-1] - clock[0]]
+    return instances, {name: 1000 * float(value) for name, value in zip(STAGES, seconds, strict=True)}
 
 
-def _keep_scene(config: EvaluationConfig, folder: Path, threads: int, picture: bool, index: int) -> int:
+def _save_record(config: EvaluationConfig, folder: Path, threads: int, picture: bool, index: int) -> int:
     evaluate_scene(config, index, threads, picture).save(record_path(folder, index))
     return index
 

@@ -24,17 +24,18 @@ class SceneRecord:
 
     Attributes:
         labels: (N,) int64 predicted instance of each point, -1 for none.
-        scores: (G,) confidence of the instances.
-        instance_ids: (N,) int64 part that each point lies on, -1 for the container.
-        visible_fractions: (P,) in [0, 1].
+        scores: (G,) confidence of each instance, in [0, 1].
+        instance_ids: (N,) int64 true part of each point, -1 for the container.
+        visible_fractions: (P,) true visible fraction of each part, in [0, 1].
         pixels: (N, 2) int64 pixel (u, v) of each point.
-        picture: (h, w) uint8 grey image around the bin; (0, 0) if none was kept.
-        corner: Column and row of its first pixel in the camera's image.
-        wrong_side: Points on the wrong side of a contour, see :func:`binpick_env.scenes.boundary_quality.wrong_side`.
-        contour: Points at contours.
+        picture: (h, w) uint8 grey image around the bin; (0, 0) if it was not kept.
+        corner: Column and row of the picture's first pixel in the camera's image.
+        wrong_side: Number of points on the wrong side of a contour, see
+            :func:`binpick_env.scenes.boundary_quality.wrong_side`.
+        contour: Number of points at contours.
         ms: Wall clock of each of `STAGES` [ms].
-        threads: That computed at the same time.
-        git_commit: Of the code that made it, "" outside of a checkout.
+        threads: Number of threads that computed the scene.
+        git_commit: Commit of the code that made the record; empty outside a Git checkout.
     """
 
     labels: NDArray[np.int64]
@@ -60,24 +61,24 @@ class SceneRecord:
             raise ValueError(f"ms must have {', '.join(STAGES)}, got {', '.join(self.ms)}")
 
     def instances(self) -> list[Instance]:
-        """Return the prediction, best first."""
+        """Return the predicted instances by descending score."""
         return instances_of(self.labels, self.scores)
 
     def truth(self, visible: tuple[float, float] = (COUNTED_FROM, np.inf)) -> SceneTruth:
-        """Return the ground truth, of which parts with a visible fraction within [low, high) count."""
+        """Return the ground truth, in which parts with a visible fraction in [low, high) count."""
         return truth_of(self.instance_ids, self.visible_fractions, visible)
 
     def matches(self, visible: tuple[float, float] = (COUNTED_FROM, np.inf)) -> SceneMatches:
-        """Return the verdicts on the prediction, over every boundary point in the bin."""
+        """Match the predicted instances to the parts with a visible fraction in [low, high), over all points."""
         return match_scene(self.truth(visible), self.instances())
 
     @property
     def clutter(self) -> ClutterStats:
-        """How hidden the parts are."""
+        """Statistics of the visible fractions."""
         return ClutterStats.from_fractions(self.visible_fractions)
 
     def save(self, path: Path) -> None:
-        """Write a compressed file in one piece, or not at all."""
+        """Write the record as a compressed file, atomically."""
         arrays: dict[str, Any] = {
             "labels": self.labels.astype(np.int32),
             "scores": self.scores,
@@ -121,5 +122,5 @@ class SceneRecord:
 
 
 def record_path(folder: Path, index: int) -> Path:
-    """Return where the record of scene ``index`` is kept."""
+    """Return the path of the record of scene ``index``."""
     return folder / f"scene_{index:05d}.npz"

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from binpick_env.evaluation.pose.record import EVIDENCE, STAGES, PoseRecord
+from binpick_env.evaluation.pose.record import STAGES, VERDICT_COLUMNS, PoseRecord
 from binpick_env.parts import load_part
 from perception.geometry import Floats, make_transform, random_rotation, rotation_about
 from perception.part import PartModel
@@ -45,8 +45,8 @@ def record(**changes: Any) -> PoseRecord:
         "poses": T.copy(),
         "scores": np.array([0.9, 0.8, 0.7, 0.6]),
         "groups": np.arange(count),
-        "seen": np.array(VISIBLE),
-        "verdicts": np.full((count, len(EVIDENCE)), 0.5),
+        "estimated_fractions": np.array(VISIBLE),
+        "verdicts": np.full((count, len(VERDICT_COLUMNS)), 0.5),
         "verified": np.ones(count, np.bool_),
         "pixels": np.column_stack([np.arange(len(ids)) % 40, np.arange(len(ids)) // 40]),
         "picture": np.zeros((0, 0), np.uint8),
@@ -69,7 +69,7 @@ def estimates(
         "poses": poses.reshape(-1, 4, 4),
         "scores": np.array(scores, np.float64),
         "groups": np.array(groups, np.int64),
-        "seen": np.ones(count),
-        "verdicts": np.full((count, len(EVIDENCE)), 0.5),
+        "estimated_fractions": np.ones(count),
+        "verdicts": np.full((count, len(VERDICT_COLUMNS)), 0.5),
         "verified": np.ones(count, np.bool_) if verified is None else np.array(verified),
     }

@@ -6,8 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from binpick_env.evaluation.pose.calibration import Sample, fit_confidence, load_sample, operating_points, predicted
-from binpick_env.evaluation.pose.record import EVIDENCE
+from binpick_env.evaluation.pose.calibration import (
+    Sample,
+    fit_confidence,
+    load_sample,
+    operating_points,
+    predicted_confidence,
+)
+from binpick_env.evaluation.pose.record import VERDICT_COLUMNS
 from binpick_env.evaluation.segmentation.record import record_path
 from perception.pose.verification.confidence import ConfidenceConfig, coefficients
 from tests.binpick_env.evaluation.pose.pose_records import bracket, estimates, moved, record
@@ -23,7 +29,7 @@ def drawn(count: int = 40_000) -> Sample:
     predictors = rng.uniform(0, 1, (count, len(coefficients(TRUTH))))
     chance = 1 / (1 + np.exp(-(TRUTH.bias + predictors @ np.array(coefficients(TRUTH)))))
     right = rng.uniform(size=count) < chance
-    return Sample(predictors=predictors, right=right, to_find=right, missed=0)
+    return Sample(predictors=predictors, correct=right, to_find=right, missed=0)
 
 
 def test_the_fit_finds_the_coefficients_that_rightness_was_drawn_by() -> None:
@@ -35,16 +41,16 @@ def test_the_fit_finds_the_coefficients_that_rightness_was_drawn_by() -> None:
 
 def test_predicted_shares_come_true() -> None:
     sample = drawn()
-    chance = predicted(sample, fit_confidence(sample))
+    chance = predicted_confidence(sample, fit_confidence(sample))
     for low in (0.1, 0.4, 0.7):
         inside = (chance >= low) & (chance < low + 0.1)
-        assert sample.right[inside].mean() == pytest.approx(chance[inside].mean(), abs=0.03)
+        assert sample.correct[inside].mean() == pytest.approx(chance[inside].mean(), abs=0.03)
 
 
 @pytest.mark.parametrize("right", [True, False])
 def test_one_kind_alone_is_refused(right: bool) -> None:
-    sample = replace(drawn(10), right=np.full(10, right))
-    with pytest.raises(ValueError, match=r"right and wrong poses are needed, got \d+ right of 10"):
+    sample = replace(drawn(10), correct=np.full(10, right))
+    with pytest.raises(ValueError, match=r"correct and wrong poses are needed, got \d+ correct of 10"):
         fit_confidence(sample)
 
 
@@ -54,7 +60,7 @@ def test_operating_points_by_hand() -> None:
     predictors = np.ones((4, 6))
     predictors[:, 0] = (-2.0, -1.0, 1.0, 2.0)  # scores .12, .27, .73, .88
     right = np.array([False, True, False, True])
-    sample = Sample(predictors=predictors, right=right, to_find=right, missed=2)
+    sample = Sample(predictors=predictors, correct=right, to_find=right, missed=2)
     points = operating_points(sample, config, (0.0, 0.5, 0.8, 0.95))
     assert [point[1] for point in points] == [4, 2, 1, 0]
     assert [point[2] for point in points[:3]] == [0.5, 0.5, 1.0]
@@ -65,14 +71,14 @@ def test_operating_points_by_hand() -> None:
 def test_records_are_read_with_their_truth(tmp_path: Path) -> None:
     true = record().T_cam_parts
     poses = np.stack([true[0], moved(true[1], degrees=20.0), true[2]])
-    verdicts = np.tile(np.arange(len(EVIDENCE)) / 10, (3, 1))
-    verdicts[:, EVIDENCE.index("margin")] = (np.inf, -9.0, 0.5)
-    verdicts[:, EVIDENCE.index("score_drop")] = (-4.0, np.inf, 0.25)
-    verdicts[:, EVIDENCE.index("size")] = (1.0, np.e, 100.0)
+    verdicts = np.tile(np.arange(len(VERDICT_COLUMNS)) / 10, (3, 1))
+    verdicts[:, VERDICT_COLUMNS.index("margin")] = (np.inf, -9.0, 0.5)
+    verdicts[:, VERDICT_COLUMNS.index("score_drop")] = (-4.0, np.inf, 0.25)
+    verdicts[:, VERDICT_COLUMNS.index("size")] = (1.0, np.e, 100.0)
     changes = estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2]) | {"verdicts": verdicts}
     record(**changes).save(record_path(tmp_path, 0))
     sample = load_sample(tmp_path, bracket(), clear=3.0)
-    assert sample.right.tolist() == [True, False, True]
+    assert sample.correct.tolist() == [True, False, True]
     assert sample.to_find.tolist() == [True, False, False]  # the third part is hidden by more than half
     assert sample.missed == 1
     np.testing.assert_allclose(sample.predictors[:, :3], [[0.0, 0.2, 0.3]] * 3)

@@ -134,7 +134,7 @@ def test_a_record_has_every_groups_pose_beside_the_truth(tellers: list[Teller]) 
     assert kept.groups.tolist() == list(range(len(groups)))
     assert kept.verified.tolist() == [owner > 0 for owner in groups]
     np.testing.assert_array_equal(kept.verdicts, np.tile([0.1, 0.2, 0.3, 0.4, 0.5, 1.0, 2.0, 50.0], (len(groups), 1)))
-    np.testing.assert_array_equal(kept.seen, np.full(len(groups), 0.6))
+    np.testing.assert_array_equal(kept.estimated_fractions, np.full(len(groups), 0.6))
     np.testing.assert_array_equal(kept.T_cam_parts, scene.T_cam_parts)
     np.testing.assert_array_equal(kept.pixels, scene.boundary.pixels)
     assert kept.picture.shape[0] > 200
@@ -215,6 +215,8 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path, tellers: list[Teller
     kept = evaluate_pose_scene(config(), 0)
     kept.save(tmp_path / "r.npz")
     back = PoseRecord.load(tmp_path / "r.npz")
+    with np.load(tmp_path / "r.npz") as stored:  # the name in the file is that of earlier versions
+        np.testing.assert_array_equal(stored["seen"], kept.estimated_fractions)
     for name, value in vars(kept).items():
         np.testing.assert_array_equal(getattr(back, name), value)
         assert np.asarray(getattr(back, name)).dtype == np.asarray(value).dtype
