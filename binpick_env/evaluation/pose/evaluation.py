@@ -206,12 +206,12 @@ def _poses(
 ) -> tuple[list[PoseEstimate], list[bool]]:
     """Return all poses of a scene, and whether each passes verification."""
     if not method.by_group:
-        verified = method.estimator.estimate_scene(boundary, frame)
-        return verified, [True] * len(verified)
+        poses = method.estimator.estimate_scene(boundary, frame)
+        return poses, [True] * len(poses)
     estimates = method.estimator.estimate_groups(boundary, instances, frame)
-    verified = {estimate.instance_idx for estimate in method.estimator.verified(estimates)}
+    verified_groups = {estimate.instance_idx for estimate in method.estimator.verified(estimates)}
     found = [estimate for estimate in estimates if estimate is not None]
-    return found, [estimate.instance_idx in verified for estimate in found]
+    return found, [estimate.instance_idx in verified_groups for estimate in found]
 
 
 def _trials(config: PoseEvaluationConfig, boundary: BoundaryCloud, instances: Sequence[Instance]) -> list[int]:

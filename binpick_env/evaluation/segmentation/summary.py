@@ -17,7 +17,7 @@ from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, versions
 from perception.segmentation.weights import load_record
 
-BANDS = ((0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, np.inf))  # of the visible fraction
+BANDS = ((0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, np.inf))  # visible fractions, [low, high)
 PAPER = {"ap50": 0.505, "ap75": 0.254}  # table 2 of the paper, its whole method
 NOTE = (
     "Scenes are synthetic, with simulated sensor noise. The paper tested on 20 hand-labelled real scenes of its own "
