@@ -1,1 +1,5 @@
-"""What every long job shares: processes, claimed folders, tables of text, the style of reports."""
+"""Long jobs: maps over worker processes, folders of results, and the formatting of tables and reports."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -126,7 +126,7 @@ def _ablation(args: Arguments) -> str:
     from tqdm import tqdm
 
     from binpick_env.evaluation.segmentation.ablation import AblationConfig, run_ablation
-    from binpick_env.evaluation.segmentation.ablation_table import ablation_table
+    from binpick_env.evaluation.segmentation.ablation_table import segmentation_ablation_table
     from binpick_env.evaluation.segmentation.summary import save_summary
 
     config = AblationConfig(
@@ -142,4 +142,4 @@ def _ablation(args: Arguments) -> str:
         table = run_ablation(config, out, args.workers, bar.set_description_str)
     results = args.json or out / "results.json"
     save_summary(results, table)
-    return f"{ablation_table(table)}\nnumbers   {results}"
+    return f"{segmentation_ablation_table(table)}\nnumbers   {results}"

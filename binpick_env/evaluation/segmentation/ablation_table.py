@@ -10,7 +10,7 @@ from binpick_env.jobs.text_tables import columns
 _WIDE = 100  # width of the table [characters]
 
 
-def ablation_table(table: AblationTable) -> str:
+def segmentation_ablation_table(table: AblationTable) -> str:
     """Return the table that an ablation prints."""
     config = table.config
     title = (

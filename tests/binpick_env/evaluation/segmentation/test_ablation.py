@@ -13,7 +13,7 @@ from binpick_env.config import CameraConfig
 from binpick_env.evaluation.segmentation import ablation
 from binpick_env.evaluation.segmentation.ablation import BUDGET, ROWS, AblationConfig, run_ablation, trainings
 from binpick_env.evaluation.segmentation.ablation_summary import METRICS, AblationTable, RowScores, tabulate
-from binpick_env.evaluation.segmentation.ablation_table import ablation_table
+from binpick_env.evaluation.segmentation.ablation_table import segmentation_ablation_table
 from binpick_env.evaluation.segmentation.record import STAGES
 from binpick_env.evaluation.segmentation.summary import BANDS, SceneScore
 from binpick_env.scenes.clutter import ClutterStats
@@ -210,7 +210,7 @@ def test_every_row_is_trained_chosen_and_judged(done: tuple[Path, AblationTable,
         assert result.tried[0][f"{result.chosen[0]:g}"] == best
         assert set(result.intervals) == set(METRICS)
     assert table.rows[0].chosen[0] in ablation.RADII
-    text = ablation_table(table)
+    text = segmentation_ablation_table(table)
     assert "part_a · sensor good · 2 scenes · seed 7 · 2 trainings of 2 steps" in text
     assert "hand-labelled real scenes" in " ".join(text.split())
     assert "50.5" in text

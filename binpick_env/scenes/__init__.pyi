@@ -1,0 +1,11 @@
+from .boundary_quality import wrong_side as wrong_side
+from .clutter import ClutterStats as ClutterStats
+from .clutter import pooled_clutter as pooled_clutter
+from .clutter import silhouette_pixels as silhouette_pixels
+from .clutter import visible_fractions as visible_fractions
+from .synthesis import CapturedScene as CapturedScene
+from .synthesis import SceneConfig as SceneConfig
+from .synthesis import generate_scenes as generate_scenes
+from .synthesis import make_scene as make_scene
+from .synthesis import scene_path as scene_path
+from .whole_part import whole_part_points as whole_part_points
