@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from perception.runtime.provenance import git_commit
 from policies.evaluation.cell import Cell, CellCache, scripted_cell
 from policies.evaluation.config import EvaluationConfig, bin_seed
-from policies.evaluation.frame_record import FrameRecord, judge_frame
+from policies.evaluation.frame_record import FrameRecord, record_frame
 from policies.evaluation.listeners import BinListener, Decision, ListenerGroup
 from policies.evaluation.records import BinRecord
 from policies.grasping.outcomes import PickResult
@@ -119,7 +119,7 @@ class _Recorder:
         """Compare the present frame with the ground truth, each frame only once."""
         start, env = time.perf_counter(), self._env
         if not self.frames or self.frames[-1].frame_id != env.frame_id:
-            self.frames.append(judge_frame(env.frame_id, env.labelled_capture, env.observed))
+            self.frames.append(record_frame(env.frame_id, env.labelled_capture, env.observed))
         self.comparing += time.perf_counter() - start
         return self.frames[-1]
 

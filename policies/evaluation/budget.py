@@ -1,8 +1,9 @@
-"""The error budget: the same bins picked with true poses, with true segments and with pixels alone."""
+"""The error budget: the same bins picked with true poses, with true segments, and from pixels alone."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,12 +27,12 @@ Runs = Mapping[Perception, tuple[EvaluationConfig, Job]]
 
 @dataclass(frozen=True, kw_only=True)
 class Cost:
-    """What a stage costs: the number with its truth given, less the number without.
+    """What a stage costs: a number with the stage's ground truth given, minus the number without.
 
     Attributes:
         value: Difference of the two pooled numbers; None where one does not exist.
-        low: Lower end of its 95 % interval, percentile bootstrap over the bins, each drawn both ways at once.
-        high: Upper end; None, like ``low``, for a single bin.
+        low: Lower end of the 95 % interval, paired percentile bootstrap over the bins; None for a single bin.
+        high: Upper end of the 95 % interval; None for a single bin.
     """
 
     value: float | None
@@ -41,16 +42,16 @@ class Cost:
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Three evaluations of the same bins, and what lies between them; the field names are the keys of budget.json.
+    """Three evaluations of the same bins and their differences; the field names are the keys of budget.json.
 
     Attributes:
-        part: What lay in the bins.
-        sensor: The depth camera's noise.
+        part: Catalogue name or file of the part.
+        sensor: Noise of the depth camera.
         bins: Number of bins.
-        seed: Of the evaluations.
-        costs: By stage, "pose" (oracle - gt_masks), "segmentation" (gt_masks - learned) and "both", and by number:
-            gsr, dr and mpph.
-        modes: The evaluations by their perception.
+        seed: Seed of the evaluations.
+        costs: Costs by stage, "pose" (oracle - gt_masks), "segmentation" (gt_masks - learned) and "both", and then by
+            number: gsr, dr and mpph.
+        modes: Numbers of the evaluations, by perception.
     """
 
     part: str
@@ -59,6 +60,12 @@ class Budget:
     seed: int
     costs: dict[str, dict[str, Cost]]
     modes: Mapping[Perception, Summary]
+
+    def plain(self) -> dict[str, Any]:
+        """Return every field by its name, as budget.json holds it."""
+        costs = {stage: {name: asdict(cost) for name, cost in numbers.items()} for stage, numbers in self.costs.items()}
+        modes = {mode: summary.plain() for mode, summary in self.modes.items()}
+        return {**{field.name: getattr(self, field.name) for field in fields(self)}, "costs": costs, "modes": modes}
 
 
 def budget_jobs(config: EvaluationConfig, job: Job) -> Runs:
@@ -72,9 +79,9 @@ def make_budget(
     """Compare three evaluations.
 
     Args:
-        records: Of the same bins in the same order, by perception.
-        modes: What they sum up to.
-        rng: The intervals' chance.
+        records: Records of the same bins in the same order, by perception.
+        modes: Summaries of the records, by perception.
+        rng: Random numbers for the bootstrap.
 
     Raises:
         ValueError: The bins are not the same.
@@ -99,7 +106,7 @@ def make_budget(
 
 def save_budget(path: Path, budget: Budget) -> None:
     """Write ``budget`` as JSON, in one piece."""
-    write_atomically(path, json_text(asdict(budget)))
+    write_atomically(path, json_text(budget.plain()))
 
 
 def _counts(records: Sequence[BinRecord]) -> dict[str, list[tuple[float, float]]]:

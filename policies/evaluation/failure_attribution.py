@@ -1,4 +1,4 @@
-"""Which stage a failed attempt is to blame on: the first that went wrong on the way from the points to the tray."""
+"""Failure attribution: the first stage that went wrong in a failed attempt, from segmentation to physics."""
 
 from enum import StrEnum
 
@@ -6,29 +6,30 @@ from policies.evaluation.frame_record import CandidateRecord
 from policies.grasping.outcomes import GraspOutcome
 
 
-class Blame(StrEnum):
-    """The stage that an attempt failed by. What was not attempted at all is counted by its abstention's reason."""
+class FailureStage(StrEnum):
+    """The stage at which an attempt failed. Abstentions are no failures; they are counted by their reasons."""
 
-    SEGMENT = "segment"  # the group that the pose was found in is no part's: IoU under 0.5, or mostly on no part
-    POSE = "pose"  # of a good segment, but not right for its part
-    GRASP = "grasp"  # on a right pose the jaw closed in vain, or let the part slip
-    PHYSICS = "physics"  # on a right pose anything else: a collision, a second part, a bad drop
-
-
-_BY_THE_JAW = frozenset({GraspOutcome.MISSED, GraspOutcome.SLIPPED})
+    SEGMENT = "segment"  # the segment behind the pose has an IoU under 0.5 with its part, or lies mostly on no part
+    POSE = "pose"  # the segment is good, but the pose is wrong
+    GRASP = "grasp"  # the pose is correct, but the jaw closed on nothing or the part slipped
+    PHYSICS = "physics"  # the pose is correct, and anything else went wrong: a collision, a second part, a bad drop
 
 
-def blame(outcome: GraspOutcome, candidate: CandidateRecord) -> Blame | None:
-    """Return what an attempt failed by, None for a delivery.
+_GRASP_OUTCOMES = frozenset({GraspOutcome.MISSED, GraspOutcome.SLIPPED})
+
+
+def attribute_failure(outcome: GraspOutcome, candidate: CandidateRecord) -> FailureStage | None:
+    """Return the stage at which an attempt failed, None for a delivery.
 
     Args:
-        outcome: How it ended.
-        candidate: That it was made on. Where nothing was segmented the segment is never to blame.
+        outcome: How the attempt ended.
+        candidate: The candidate that was grasped, compared with the ground truth. Where nothing was segmented, no
+            failure is attributed to the segment.
     """
     if outcome is GraspOutcome.DELIVERED:
         return None
     if not candidate.well_segmented:
-        return Blame.SEGMENT
+        return FailureStage.SEGMENT
     if not candidate.right:
-        return Blame.POSE
-    return Blame.GRASP if outcome in _BY_THE_JAW else Blame.PHYSICS
+        return FailureStage.POSE
+    return FailureStage.GRASP if outcome in _GRASP_OUTCOMES else FailureStage.PHYSICS

@@ -1,6 +1,6 @@
-"""What perception made of a frame, judged against the truth: plain numbers that a bin's record keeps.
+"""What perception found in a frame, compared with the ground truth: plain numbers for a bin's record.
 
-G groups of boundary points, P parts, N boundary points, E candidates.
+G segments, P parts, N boundary points, E candidates.
 """
 
 from collections.abc import Sequence
@@ -21,17 +21,17 @@ from perception.metrics.pose_errors import is_recognised, pose_error, recognitio
 from perception.metrics.pose_recognition import MIN_VISIBLE, judge_poses
 from perception.segmentation.scoring import truth_of
 
-GOOD_OVERLAP = 0.5  # IoU with its part from which a group is a good segment
+GOOD_OVERLAP = 0.5  # smallest IoU of a good segment with its part
 Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentTable:
-    """How a frame's groups of boundary points lie on its parts: all that an average precision asks of them.
+    """Numbers of boundary points that a frame's segments share with its parts: the input of an average precision.
 
     Attributes:
-        scores: Confidence of each of the G groups.
-        points: (group, part, number of points) of every pair that shares points; -1 is no group, and no part.
+        scores: Confidence of each of the G segments.
+        points: (segment, part, number of points) of every pair that shares points; -1 is no segment, and no part.
     """
 
     scores: tuple[float, ...]
@@ -40,14 +40,17 @@ class SegmentTable:
     def __post_init__(self) -> None:
         for group, part, count in self.points:
             if not (-1 <= group < len(self.scores) and part >= -1 and count > 0):
-                raise ValueError(f"points must be of {len(self.scores)} groups, got {(group, part, count)}")
+                raise ValueError(
+                    "points must be (segment, part, number of points) with a segment from -1 to "
+                    f"{len(self.scores) - 1}, got {(group, part, count)}"
+                )
 
     @classmethod
     def count(cls, instances: Sequence[Instance], part_ids: Ints) -> "SegmentTable":
-        """Count the points of ``instances`` on each part; of overlapping ones the first has a point.
+        """Count the points of each segment on each part; a point of several segments belongs to the first.
 
         Args:
-            instances: Groups of boundary points, best first.
+            instances: Segments, best first.
             part_ids: (N,) true part of each boundary point, -1 for the container.
         """
         pairs = np.column_stack([labels_of(instances, len(part_ids)), part_ids])
@@ -56,17 +59,17 @@ class SegmentTable:
         return cls(scores=tuple(float(instance.score) for instance in instances), points=points)
 
     def matches(self, visible_fractions: Sequence[float]) -> SceneMatches:
-        """Return ScanNet's verdicts on the groups, by the rules of every other evaluation.
+        """Return the segments matched with the parts by ScanNet's rules, as in every other evaluation.
 
         Args:
-            visible_fractions: Of the P parts.
+            visible_fractions: Visible fraction of each of the P parts.
         """
         groups, parts, counts = np.array(self.points, np.int64).reshape(-1, 3).T
         truth = truth_of(np.repeat(parts, counts), np.asarray(visible_fractions, np.float64))
         return match_scene(truth, instances_of(np.repeat(groups, counts), self.scores))
 
     def overlap(self, group: int, part: int) -> float:
-        """Return the IoU of a group with a part's boundary points; 0 where there are none."""
+        """Return the IoU of a segment with a part's boundary points; 0 where they share none."""
         shared = sum(n for g, p, n in self.points if (g, p) == (group, part))
         union = sum(n for g, p, n in self.points if g == group or p == part)
         return shared / union if shared else 0.0
@@ -74,16 +77,19 @@ class SegmentTable:
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateRecord:
-    """One offered pose, judged by the paper's criterion: a tenth of d_max at the centre, 5 deg modulo symmetry.
+    """One candidate of a frame, compared with the ground truth.
+
+    A pose is correct by the paper's criterion: off by at most a tenth of d_max at the part's centre and at most 5 deg
+    modulo symmetry.
 
     Attributes:
-        part: That the candidate is of: the one that owns most of its group's points; -1 where most are no part's.
-        score: The perceiver's confidence.
-        right: Whether the pose is right for ``part``.
-        found: Part that this is the best-scored right pose of; -1 for none, and for a duplicate.
-        translation: Error against ``part`` [m]; None without one.
-        rotation: Error against ``part``, modulo its symmetry [rad]; None without one.
-        overlap: IoU of its group with ``part``'s boundary points; None where nothing was segmented.
+        part: Index of the part that owns most points of the candidate's segment; -1 where most are on no part.
+        score: Confidence of the perceiver.
+        right: Whether the pose is correct for ``part``.
+        found: Index of the part for which this is the best-scored correct pose; -1 for none, and for a duplicate.
+        translation: Distance of the part's centre from its true place [m]; None without a part.
+        rotation: Angle to the true rotation, modulo symmetry [rad]; None without a part.
+        overlap: IoU of the candidate's segment with the part's boundary points; None where nothing was segmented.
     """
 
     part: int
@@ -96,21 +102,21 @@ class CandidateRecord:
 
     @property
     def well_segmented(self) -> bool:
-        """Whether the group behind it is a good segment; always where nothing was segmented."""
+        """Whether the candidate's segment is good; True where nothing was segmented."""
         return self.overlap is None or (self.part >= 0 and self.overlap >= GOOD_OVERLAP)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameRecord:
-    """One frame that was decided on.
+    """One frame that a decision was made on, compared with the ground truth.
 
     Attributes:
-        frame_id: Of the frame in its bin.
-        visible_fractions: Of the P parts, 0 out of play.
-        candidates: What was offered, in the order of the observation.
-        segments: The groups that poses were searched in; None where the truth was read.
-        explained: The same after the poses have explained the points.
-        ms: Wall clock of perception's stages [ms].
+        frame_id: Number of the frame in its bin.
+        visible_fractions: Visible fraction of each of the P parts; 0 for parts out of play.
+        candidates: Candidates of the observation, in its order.
+        segments: Segments that poses were searched in; None where the ground truth was read.
+        explained: Segments after points were assigned to poses; None where the ground truth was read.
+        ms: Wall clock of each stage of perception [ms].
     """
 
     frame_id: int
@@ -122,17 +128,17 @@ class FrameRecord:
 
     @property
     def to_find(self) -> frozenset[int]:
-        """The parts of which half or more is visible."""
+        """Indices of the parts of which half or more is visible."""
         return frozenset(k for k, fraction in enumerate(self.visible_fractions) if fraction >= MIN_VISIBLE)
 
     @property
     def found(self) -> frozenset[int]:
-        """Those of `to_find` that a right pose was offered for."""
+        """Indices of those parts of `to_find` for which there is a candidate with a correct pose."""
         return self.to_find & {candidate.found for candidate in self.candidates}
 
     @classmethod
     def from_plain(cls, values: dict[str, Any]) -> "FrameRecord":
-        """Rebuild a record from JSON's values."""
+        """Return the record whose fields are given as JSON types."""
         return cls(
             frame_id=values["frame_id"],
             visible_fractions=tuple(values["visible_fractions"]),
@@ -143,35 +149,37 @@ class FrameRecord:
         )
 
 
-def judge_frame(frame_id: int, labelled_capture: LabelledCapture, observed: ObservedCandidates) -> FrameRecord:
-    """Compare what was seen in an exposure with its truth.
+def record_frame(frame_id: int, labelled_capture: LabelledCapture, observed: ObservedCandidates) -> FrameRecord:
+    """Compare what perception found in a frame with the ground truth.
 
     Args:
-        frame_id: Of the frame in its bin.
-        labelled_capture: With the truth.
-        observed: What perception made of it; the first `MAX_CANDIDATES` candidates are offered, and judged.
+        frame_id: Number of the frame in its bin.
+        labelled_capture: The frame with its ground truth.
+        observed: What perception found; the first `MAX_CANDIDATES` candidates, those of the observation, are recorded.
     """
-    seen = observed.perception
-    offered = observed.candidates[:MAX_CANDIDATES]
+    perception = observed.perception
+    candidates = observed.candidates[:MAX_CANDIDATES]
     segments = explained = None
-    overlaps: list[float | None] = [None] * len(offered)
-    if seen is not None:
-        part_ids = point_owners(labelled_capture, seen.boundary)
-        segments, explained = (SegmentTable.count(groups, part_ids) for groups in (seen.segments, seen.instances))
-        groups = [pose.instance_idx for pose in seen.poses[: len(offered)]]
-        overlaps = [segments.overlap(group, each.part) for group, each in zip(groups, offered, strict=True)]
-    judged = zip(offered, _found(labelled_capture, offered), overlaps, strict=True)
+    overlaps: list[float | None] = [None] * len(candidates)
+    if perception is not None:
+        part_ids = point_owners(labelled_capture, perception.boundary)
+        segments, explained = (
+            SegmentTable.count(found, part_ids) for found in (perception.segments, perception.instances)
+        )
+        indices = [pose.instance_idx for pose in perception.poses[: len(candidates)]]
+        overlaps = [segments.overlap(index, each.part) for index, each in zip(indices, candidates, strict=True)]
+    facts = zip(candidates, _found(labelled_capture, candidates), overlaps, strict=True)
     return FrameRecord(
         frame_id=frame_id,
         visible_fractions=tuple(labelled_capture.visible_fractions.tolist()),
-        candidates=tuple(_judge(labelled_capture, candidate, found, overlap) for candidate, found, overlap in judged),
+        candidates=tuple(_candidate(labelled_capture, *each) for each in facts),
         segments=segments,
         explained=explained,
-        ms={} if seen is None else dict(seen.ms),
+        ms={} if perception is None else dict(perception.ms),
     )
 
 
-def _judge(
+def _candidate(
     labelled_capture: LabelledCapture, candidate: PoseCandidate, found: int, overlap: float | None
 ) -> CandidateRecord:
     part, score = candidate.part, float(candidate.score)
@@ -190,13 +198,13 @@ def _judge(
 
 
 def _found(labelled_capture: LabelledCapture, candidates: Sequence[PoseCandidate]) -> list[int]:
-    """Return for each of E candidates the part in sight that it is the best-scored right pose of, -1 for none."""
+    """Return for each of E candidates the visible part for which it is the best-scored correct pose, -1 for none."""
     T_world: Floats = np.array([candidate.T_world_part for candidate in candidates]).reshape(-1, 4, 4)
     distances = recognition_distances(T_world, labelled_capture.T_reported_parts, labelled_capture.part)
     distances[:, labelled_capture.visible_fractions <= 0] = np.inf
     scores = np.array([candidate.score for candidate in candidates], np.float64)
-    verdicts = judge_poses(distances, scores, np.ones(distances.shape[1], np.bool_), np.inf)
-    return [int(part) if right else -1 for part, right in zip(verdicts.claims, verdicts.correct, strict=True)]
+    judgement = judge_poses(distances, scores, np.ones(distances.shape[1], np.bool_), np.inf)
+    return [int(part) if right else -1 for part, right in zip(judgement.claims, judgement.correct, strict=True)]
 
 
 def _table(values: dict[str, Any] | None) -> SegmentTable | None:

@@ -1,6 +1,6 @@
-"""Perception's numbers over the frames that were decided on: segments, and the poses that were offered.
+"""How good perception was in the frames that decisions were made on: its segments and its candidates.
 
-The frames of a bin show the same parts again and again, so that intervals come from resampling whole bins.
+The frames of a bin show the same parts again and again; therefore, intervals come from resampling whole bins.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,19 +23,19 @@ AP_RESAMPLES = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
-class SightSummary:
-    """What perception saw while bins were picked. A number is None where there is nothing to count.
+class FrameSummary:
+    """Perception in the frames that decisions were made on. A number is None where there is nothing to count.
 
     Attributes:
-        ap: By name, "ap", "ap50" and "ap75" of the groups that poses were searched in.
-        explained: The same after the poses have explained the points.
-        rates: By name of `RATES`.
+        ap: ScanNet's "ap", "ap50" and "ap75" of the segments that poses were searched in.
+        explained: ScanNet's "ap", "ap50" and "ap75" of the segments after points were assigned to poses.
+        rates: The rates of candidates and of parts that `RATES` names.
         counts: Numerator and denominator of each rate.
-        errors: Medians over the candidates that are a part's: "mm" at its centre, "deg" modulo symmetry.
-        stages: Median wall clock of perception's stages [ms].
-        intervals: 95 % of ``ap`` and ``rates``, percentile bootstrap over bins, those of rates at least as wide as
-            Wilson's; None for a single bin.
-        frames: That were decided on.
+        errors: Medians over the candidates that have a part: "mm" at its centre, "deg" modulo symmetry.
+        stages: Median wall clock of each stage of perception [ms].
+        intervals: 95 % intervals of ``ap`` and ``rates``, percentile bootstrap over bins, those of rates at least as
+            wide as Wilson's; None for a single bin.
+        frames: Number of frames.
     """
 
     ap: dict[str, float | None]
@@ -48,17 +48,22 @@ class SightSummary:
     frames: int
 
 
-def summarise_sight(records: Sequence[BinRecord], rng: np.random.Generator) -> SightSummary:
-    """Pool the judged frames of all bins.
+def summarise_frames(records: Sequence[BinRecord], rng: np.random.Generator) -> FrameSummary:
+    """Pool the frames of all bins.
 
-    Note: the intervals of an AP take some seconds for 500 frames.
+    Args:
+        records: Records of the bins.
+        rng: Random numbers for the bootstrap.
+
+    Note:
+        The intervals of an AP take some seconds for 500 frames.
     """
     frames = [frame for record in records for frame in record.frames]
     counts = np.array([_counts(record.frames) for record in records]).reshape(-1, len(RATES), 2)
     sums = counts.sum(axis=0).tolist()
     ap, intervals = _segmentation(records, rng)
     intervals |= {name: _rate_interval(counts[:, k], rng) for k, name in enumerate(RATES)}
-    return SightSummary(
+    return FrameSummary(
         ap=ap,
         explained=_ap([_matches(frame, frame.explained) for frame in frames if frame.explained is not None]),
         rates={name: right / n if n else None for name, (right, n) in zip(RATES, sums, strict=True)},
@@ -71,16 +76,21 @@ def summarise_sight(records: Sequence[BinRecord], rng: np.random.Generator) -> S
 
 
 def over_bins(counts: Floats | Sequence[tuple[int, int]], rng: np.random.Generator) -> Interval | None:
-    """Return the interval of a pooled rate of (B, 2) successes and trials when whole bins are drawn; None for one."""
+    """Return the 95 % interval of a pooled rate, percentile bootstrap over bins; None for a single bin with trials.
+
+    Args:
+        counts: (B, 2) successes and trials of each bin; bins without trials are left out.
+        rng: Random numbers for the bootstrap.
+    """
     pairs = np.asarray(counts, np.float64).reshape(-1, 2)
     tried = pairs[pairs[:, 1] > 0]
     return bootstrap_ratio(tried[:, 0], tried[:, 1], rng) if len(tried) > 1 else None
 
 
 def _rate_interval(counts: Floats, rng: np.random.Generator) -> Interval | None:
-    """Return the interval over bins, but never a narrower one than if all trials were independent.
+    """Return the interval over bins, widened to Wilson's, which takes all trials for independent.
 
-    Wrong poses are few: from bins without any the bootstrap alone would conclude that there are none.
+    Wrong poses are few: if no bin has any, the bootstrap's interval would have no width.
     """
     drawn = over_bins(counts, rng)
     if drawn is None:
@@ -90,12 +100,12 @@ def _rate_interval(counts: Floats, rng: np.random.Generator) -> Interval | None:
 
 
 def _counts(frames: Iterable[FrameRecord]) -> list[tuple[int, int]]:
-    """Return right ones and all, for each of `RATES`."""
+    """Return numerator and denominator of each of `RATES`."""
     frames = list(frames)
-    offered = [candidate for frame in frames for candidate in frame.candidates]
+    candidates = [candidate for frame in frames for candidate in frame.candidates]
     return [
-        (sum(candidate.right for candidate in offered), len(offered)),
-        (sum(candidate.found >= 0 for candidate in offered), len(offered)),
+        (sum(candidate.right for candidate in candidates), len(candidates)),
+        (sum(candidate.found >= 0 for candidate in candidates), len(candidates)),
         (sum(len(frame.found) for frame in frames), sum(len(frame.to_find) for frame in frames)),
     ]
 

@@ -69,22 +69,22 @@ def run_job(
     make_cell: CellFactory = scripted_cell,
     on_found: Callable[[Sequence[BinRecord]], None] | None = None,
 ) -> list[BinRecord]:
-    """Return the records of all bins, in order; those that are missing are computed and kept one by one.
+    """Return the records of all bins, in order; missing ones are computed, each is written when it is finished.
 
     Args:
-        config: What the records depend on.
-        job: How they are computed.
-        on_bin: Called with each record as it comes, those found on disk first.
+        config: All that the records' numbers depend on.
+        job: How the records are computed, and the folder that they are kept in.
+        on_bin: Called with each record, first with those that exist already.
         on_pick: Called after each decision, with one worker only.
-        make_cell: Builds environment and picker; must be importable by name for more than one worker.
-        on_found: Called once with the records that are taken from the folder, if there are any.
+        make_cell: Builds environment and picker; it must be importable by name if there are several workers.
+        on_found: Called once with the records that exist already, if there are any.
 
     Raises:
         FolderError: The folder holds records of another configuration.
-        BinError: A bin failed, or a worker was killed; every other bin that was finished is kept.
-        KeyboardInterrupt: Every bin that was finished is kept.
+        BinError: A bin failed, or a worker was killed; the records of finished bins are kept.
+        KeyboardInterrupt: The run was interrupted; the records of finished bins are kept.
     """
-    claim_folder(config, job.out)
+    ensure_folder_config(config, job.out)
     found: dict[int, BinRecord] = {}
     for index in range(job.bins):
         record = None if job.must_compute(index) else stored_record(config, index, job.out)
@@ -107,36 +107,36 @@ def run_job(
     return [found[index] for index in range(job.bins)]
 
 
-def claim_folder(config: EvaluationConfig, out: Path) -> None:
-    """Note the configuration in the folder, or compare with the one that is noted there.
+def ensure_folder_config(config: EvaluationConfig, out: Path) -> None:
+    """Write the configuration into the folder, or compare it with the one that is there.
 
     Raises:
-        FolderError: Another configuration is noted; the text names what differs.
+        FolderError: The folder has another configuration; the message lists the differences.
     """
-    note = out / CONFIG_FILE
-    mine = {"hash": config.digest(), "config": asdict(config)}
-    if note.exists():
+    path = out / CONFIG_FILE
+    given = {"hash": config.digest(), "config": asdict(config)}
+    if path.exists():
         try:
-            theirs = json.loads(note.read_text())
-            if theirs["hash"] == mine["hash"]:
+            stored = json.loads(path.read_text())
+            if stored["hash"] == given["hash"]:
                 return
-            different = _differences(json.loads(json_text(mine["config"])), theirs["config"])
+            different = _differences(json.loads(json_text(given["config"])), stored["config"])
         except (ValueError, KeyError, TypeError, AttributeError):
-            _log.warning("%s is damaged and is written anew", note)
+            _log.warning("%s is damaged and is written anew", path)
         else:
             raise FolderError(
                 f"{out} holds another evaluation ({different}); choose another folder with --out, or delete this one"
             )
-    write_atomically(note, json_text(mine))
+    write_atomically(path, json_text(given))
 
 
-def _differences(mine: dict[str, object], theirs: dict[str, object]) -> str:
-    names = sorted(name for name in {*mine, *theirs} if mine.get(name) != theirs.get(name))
-    return ", ".join(f"{name}: {theirs.get(name)} there, {mine.get(name)} here" for name in names) or "the part's file"
+def _differences(given: dict[str, object], stored: dict[str, object]) -> str:
+    names = sorted(name for name in {*given, *stored} if given.get(name) != stored.get(name))
+    return ", ".join(f"{name}: {stored.get(name)} there, {given.get(name)} here" for name in names) or "the part's file"
 
 
 def stored_record(config: EvaluationConfig, index: int, out: Path) -> BinRecord | None:
-    """Return the whole record of bin ``index`` that lies in ``out``, or None."""
+    """Return the record of bin ``index`` in folder ``out``, None if there is none that is complete and fits."""
     path = record_path(out, index)
     if not path.exists():
         return None
@@ -180,6 +180,6 @@ def _work(config: EvaluationConfig, job: Job, index: int) -> BinRecord:
 
 
 def _start_worker(make_cell: CellFactory) -> None:
-    """Keep one cell for all bins of this process."""
+    """Prepare the worker process: one cell serves all of its bins."""
     global _cells
     _cells = CellCache(make_cell)

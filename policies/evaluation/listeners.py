@@ -42,7 +42,7 @@ class Decision:
 class BinListener(AbstractContextManager["BinListener"]):
     """Follows one bin while it is picked. No method does anything here: a listener overrides those that it needs.
 
-    A listener is entered before the bin is reset. It is left at the bin's end, with the exception if there was one.
+    A listener is a context manager: it is entered before the bin is reset, and exited when the bin has ended or failed.
     """
 
     def bin_settled(self, env: BinPickEnv) -> str:  # noqa: ARG002

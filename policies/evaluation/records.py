@@ -1,4 +1,4 @@
-"""What is kept of every bin: plain numbers and words, written as JSON, one file a bin."""
+"""The record of every bin: plain numbers and words, written as JSON, one file per bin."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -9,7 +9,7 @@ import numpy as np
 
 from binpick_env.scenes.clutter import ClutterStats
 from perception.runtime.records import RecordError, RecordFormat
-from policies.evaluation.failure_attribution import Blame, blame
+from policies.evaluation.failure_attribution import FailureStage, attribute_failure
 from policies.evaluation.frame_record import CandidateRecord, FrameRecord
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.episode import BinResult, Termination
@@ -22,21 +22,22 @@ class PickRecord:
     """One decision; see :class:`policies.grasping.outcomes.PickResult`.
 
     Attributes:
-        outcome: A :class:`GraspOutcome`; None for an abstention.
-        abstention: An :class:`Abstention`; None for an attempt.
+        outcome: How the attempt ended; None for an abstention.
+        abstention: Why nothing was attempted; None for an attempt.
         part: Index of the part that was aimed at, -1 if unknown.
-        delivered: Parts delivered by it.
-        t_sense: Nominal exposure [s].
+        delivered: Number of parts that the attempt delivered.
+        t_sense: Nominal time of the exposure [s].
         t_compute: Wall clock of perception and planning [s].
-        t_motion: Simulated [s].
-        frame_id: Frame of the decision.
+        t_motion: Simulated time of the motion [s].
+        frame_id: Number of the frame that the decision was made on.
         width: Distance between the pads at contact [m]; None for an abstention.
         opening: Distance between the pads during the approach [m]; None for an abstention.
-        score: The grasp's rank; None for an abstention.
-        features: Named scalars behind the score.
-        candidate: Row of the candidate in its frame's record; None for an abstention.
-        blame: What a failed attempt failed by; None for a delivery or an abstention, or if its frame was not judged.
-        picture: File name of the picture of the decision, beside the record; "" if none was kept.
+        score: Score by which the grasp was ranked; None for an abstention.
+        features: Named scalars that the score was computed from.
+        candidate: Index of the candidate in its frame's record; None for an abstention.
+        failure_attribution: Stage at which a failed attempt failed; None for a delivery or an abstention, or if there
+            is no record of its frame.
+        picture: File name of the picture of the decision, beside the record; "" if there is none.
     """
 
     outcome: GraspOutcome | None
@@ -52,14 +53,23 @@ class PickRecord:
     score: float | None = None
     features: dict[str, float] = field(default_factory=dict)
     candidate: int | None = None
-    blame: Blame | None = None
+    failure_attribution: FailureStage | None = None
     picture: str = ""
 
     @classmethod
     def from_result(cls, result: PickResult, picture: str = "", frame: FrameRecord | None = None) -> "PickRecord":
-        """Keep the plain facts of ``result``, judged by the record of the ``frame`` that it was decided on."""
+        """Return the plain facts of a decision.
+
+        Args:
+            result: What was decided, and how the attempt ended.
+            picture: File name of the decision's picture; "" if there is none.
+            frame: Record of the frame that the decision was made on; None if there is none.
+        """
         grasp = result.grasp
-        tried = None if frame is None or grasp is None else frame.candidates[grasp.candidate]
+        candidate = None if frame is None or grasp is None else frame.candidates[grasp.candidate]
+        failed_at = None
+        if candidate is not None and result.outcome is not None:
+            failed_at = attribute_failure(result.outcome, candidate)
         return cls(
             outcome=result.outcome,
             abstention=result.abstention,
@@ -74,7 +84,7 @@ class PickRecord:
             score=None if grasp is None else float(grasp.score),
             features={} if grasp is None else {name: float(value) for name, value in grasp.features.items()},
             candidate=None if grasp is None else grasp.candidate,
-            blame=None if tried is None or result.outcome is None else blame(result.outcome, tried),
+            failure_attribution=failed_at,
             picture=picture,
         )
 
@@ -84,22 +94,22 @@ class BinRecord:
     """One bin.
 
     Attributes:
-        config_hash: Of the :class:`policies.evaluation.bin_evaluation.EvaluationConfig` that made it.
-        index: Of the bin in the evaluation.
-        seed: Of the environment's reset.
-        parts_total: Parts after settling.
-        delivered: Parts delivered.
+        config_hash: Digest of the :class:`policies.evaluation.config.EvaluationConfig` that the bin was picked with.
+        index: Number of the bin in the evaluation, from 0.
+        seed: Seed of the environment's reset.
+        parts_total: Number of parts after settling.
+        delivered: Number of parts delivered.
         termination: Why the bin ended.
         clutter: Visible fractions of the settled bin; its shares are NaN for an empty one.
-        picks: Every decision in order.
-        frames: What perception made of each frame that was decided on, judged.
-        wall: Wall clock of the bin after its set-up, pictures for people left out [s].
-        settle: Part of ``wall`` in which the pile was dropped and seen first [s].
-        render: Part of ``wall`` spent on rendering the camera's frames [s].
-        git_commit: Of the code that made it, "" outside of a checkout.
-        before: File name of the picture of the settled bin; "" if none was kept.
-        after: File name of the picture at the bin's end; "" if none was kept.
-        lost: Parts that left play without being delivered.
+        picks: Every decision, in order.
+        frames: Every frame that a decision was made on, compared with the ground truth.
+        wall: Wall clock of the bin after its set-up, without listeners such as pictures [s].
+        settle: Part of ``wall`` in which the parts were dropped and the first frame was taken [s].
+        render: Part of ``wall`` in which the camera's frames were rendered [s].
+        git_commit: Commit of the code that made the record, "" outside of a checkout.
+        before: File name of the picture of the settled bin; "" if there is none.
+        after: File name of the picture of the bin's end; "" if there is none.
+        lost: Number of parts that left play without being delivered.
     """
 
     config_hash: str
@@ -121,15 +131,15 @@ class BinRecord:
 
     @property
     def attempts(self) -> tuple[PickRecord, ...]:
-        """The executed attempts."""
+        """The decisions that led to an attempt."""
         return tuple(pick for pick in self.picks if pick.outcome is not None)
 
     def frame(self, frame_id: int) -> FrameRecord | None:
-        """Return the record of a frame, None if it was not judged."""
+        """Return the record of the frame with this number, None if there is none."""
         return next((frame for frame in self.frames if frame.frame_id == frame_id), None)
 
     def candidate(self, pick: PickRecord) -> CandidateRecord | None:
-        """Return what an attempt was made on, None for an abstention or if its frame was not judged."""
+        """Return the candidate that was grasped, None for an abstention or if there is no record of its frame."""
         frame = self.frame(pick.frame_id)
         return None if frame is None or pick.candidate is None else frame.candidates[pick.candidate]
 
@@ -137,17 +147,17 @@ class BinRecord:
     def from_result(
         cls, result: BinResult, pictures: list[str], frames: Sequence[FrameRecord] = (), **facts: Any
     ) -> "BinRecord":
-        """Keep the plain facts of ``result``.
+        """Return the plain facts of a bin.
 
         Args:
-            result: Of the bin.
-            pictures: A file name, or "", for each pick.
-            frames: That were decided on, judged.
-            facts: The other fields.
+            result: Every decision of the bin, and what came of them.
+            pictures: File name of the picture of each decision, "" where there is none.
+            frames: Records of the frames that decisions were made on.
+            facts: The fields of the record that do not follow from these.
         """
-        seen = {frame.frame_id: frame for frame in frames}
+        by_id = {frame.frame_id: frame for frame in frames}
         named = zip(result.picks, pictures, strict=True)
-        picks = tuple(PickRecord.from_result(pick, name, seen.get(pick.frame_id)) for pick, name in named)
+        picks = tuple(PickRecord.from_result(pick, name, by_id.get(pick.frame_id)) for pick, name in named)
         return cls(
             seed=result.seed,
             parts_total=result.parts_total,
@@ -162,19 +172,19 @@ class BinRecord:
 
 
 def record_path(folder: Path, index: int) -> Path:
-    """Return where the record of bin ``index`` is kept."""
+    """Return the path of the record of bin ``index``."""
     return folder / f"bin_{index:04d}.json"
 
 
 def save_record(record: BinRecord, folder: Path) -> Path:
-    """Write ``record`` in one piece, or not at all."""
+    """Write ``record`` in one piece, or not at all, and return its path."""
     path = record_path(folder, record.index)
     FORMAT.save_plain(path, asdict(record), indent=None)  # a line for every number would be half spaces
     return path
 
 
 def load_record(path: Path) -> BinRecord:
-    """Read a record.
+    """Read a record; those of earlier versions name the failure attribution "blame".
 
     Raises:
         RecordError: The file is cut off, damaged or of another version.
@@ -196,9 +206,11 @@ def _bin(values: dict[str, Any]) -> BinRecord:
 
 
 def _pick(values: dict[str, Any]) -> PickRecord:
+    if "blame" in values:
+        values = {"failure_attribution" if name == "blame" else name: value for name, value in values.items()}
     unknown = set(values) - {f.name for f in fields(PickRecord)}
     if unknown:
         raise RecordError(f"a pick has no field {', '.join(sorted(unknown))}")
-    for name, kind in (("outcome", GraspOutcome), ("abstention", Abstention), ("blame", Blame)):
-        values[name] = None if values[name] is None else kind(values[name])
-    return PickRecord(**values)
+    kinds = {"outcome": GraspOutcome, "abstention": Abstention, "failure_attribution": FailureStage}
+    words = {name: None if values[name] is None else kind(values[name]) for name, kind in kinds.items()}
+    return PickRecord(**{**values, **words})

@@ -1,4 +1,4 @@
-"""Rates and means with intervals: what stands beside every number that is printed."""
+"""Rates and means with 95 % intervals."""
 
 from dataclasses import dataclass
 
@@ -50,20 +50,21 @@ def bootstrap_mean(values: ArrayLike, rng: np.random.Generator, resamples: int =
 def bootstrap_ratio(
     numerators: ArrayLike, denominators: ArrayLike, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> tuple[float, float]:
-    """Return the 95 % percentile bootstrap interval of sum(numerators) / sum(denominators) over N paired draws.
+    """Return the 95 % percentile bootstrap interval of sum(numerators) / sum(denominators), drawn in pairs.
 
-    With deliveries above and times [h] below it is that of deliveries an hour.
+    Deliveries over times [h], for example, give the interval of deliveries per hour.
 
     Args:
-        numerators: (N,).
-        denominators: (N,) positive.
-        rng: The resampling's chance.
+        numerators: (N,) values above the fraction bar.
+        denominators: (N,) positive values below it.
+        rng: Random numbers for the bootstrap.
         resamples: Number of bootstrap samples.
 
     Raises:
         ValueError: There is nothing to resample, the lengths differ or a denominator is not positive.
 
-    Note: O(N resamples) time, O(N) memory a resample.
+    Note:
+        O(N resamples) time, O(N) memory.
     """
     pairs = _columns(numerators, denominators)
     if not np.all(pairs[:, 1] > 0):
@@ -79,7 +80,16 @@ def bootstrap_ratio(
 def paired_difference(
     first: ArrayLike, second: ArrayLike, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> tuple[float, float, float]:
-    """Return mean(first - second) and its 95 % percentile bootstrap interval, for two policies on the same (N,) seeds.
+    """Return mean(first - second) and its 95 % percentile bootstrap interval.
+
+    Args:
+        first: (N,) results of one policy.
+        second: (N,) results of another policy on the same seeds.
+        rng: Random numbers for the bootstrap.
+        resamples: Number of bootstrap samples.
+
+    Returns:
+        Difference, lower and upper end of its interval.
 
     Raises:
         ValueError: There is nothing to resample, or the lengths differ.
@@ -94,42 +104,43 @@ def paired_ratio_difference(
 ) -> tuple[float, float, float]:
     """Return the difference of two pooled ratios, first - second, and its 95 % percentile bootstrap interval.
 
-    Unlike the mean of the pairs' differences it is the difference of the two rates as they are printed, and a bin in
-    which one of the two tried nothing has its say.
+    Unlike the mean of the bins' differences, this is the difference of the two printed rates, and a bin in which one of
+    the two attempted nothing counts.
 
     Args:
-        first: (N, 2) numerator and denominator of each bin, one way ...
-        second: ... and (N, 2) of the same bins the other way; they are drawn together.
-        rng: The resampling's chance.
-        resamples: Number of bootstrap samples; those without a denominator on either side are left out.
+        first: (N, 2) numerator and denominator of each bin under one condition.
+        second: (N, 2) numerator and denominator of the same bins under the other; each bin is drawn with both.
+        rng: Random numbers for the bootstrap.
+        resamples: Number of bootstrap samples; those in which a denominator is 0 are left out.
 
     Returns:
-        Difference, low and high; NaN where a denominator is 0 in all, or a single bin leaves no interval.
+        Difference, lower and upper end of its interval; NaN where the sum of a denominator is 0. A single bin has no
+        interval: its ends are NaN.
 
     Raises:
         ValueError: There is nothing to resample, the lengths differ or a denominator is negative.
     """
-    both = np.stack([np.asarray(each, np.float64).reshape(-1, 2) for each in _alike(first, second)])
+    both = np.stack([np.asarray(each, np.float64).reshape(-1, 2) for each in _same_shape(first, second)])
     if np.any(both[:, :, 1] < 0):
         raise ValueError(f"denominators must not be negative, got {both[:, :, 1].min()}")
     count = both.shape[1]
-    value = float(_ratio_gaps(both, np.ones((1, count)))[0])
+    value = float(_ratio_differences(both, np.ones((1, count)))[0])
     if count < 2:
         return value, np.nan, np.nan
     weights = rng.multinomial(count, np.full(count, 1.0 / count), size=resamples).astype(np.float64)
-    return value, *percentile_interval(_ratio_gaps(both, weights))
+    return value, *percentile_interval(_ratio_differences(both, weights))
 
 
-def _ratio_gaps(both: Floats, weights: Floats) -> Floats:
-    """Return the (R,) differences of the ratios of (2, N, 2) pairs that count (R, N) ``weights`` times."""
+def _ratio_differences(both: Floats, weights: Floats) -> Floats:
+    """Return the (R,) differences of the ratios of (2, N, 2) pairs, each bin weighted by (R, N) ``weights``."""
     sums = weights @ both  # (2, R, 2)
     above, below = sums[:, :, 0], sums[:, :, 1]
     ratios = np.divide(above, below, out=np.full(above.shape, np.nan), where=below > 0)
-    gaps: Floats = ratios[0] - ratios[1]
-    return gaps
+    differences: Floats = ratios[0] - ratios[1]
+    return differences
 
 
-def _alike(first: ArrayLike, second: ArrayLike) -> tuple[Floats, Floats]:
+def _same_shape(first: ArrayLike, second: ArrayLike) -> tuple[Floats, Floats]:
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     if a.shape != b.shape:
         raise ValueError(f"both samples must have one length, got {a.shape} and {b.shape}")
@@ -139,6 +150,6 @@ def _alike(first: ArrayLike, second: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def _columns(first: ArrayLike, second: ArrayLike) -> Floats:
-    a, b = _alike(first, second)
+    a, b = _same_shape(first, second)
     require_shape("first", a, (None,))
     return np.column_stack([a, b])

@@ -1,4 +1,4 @@
-"""From the bins' records to the numbers that are printed; the field names are the keys of results.json."""
+"""The numbers of an evaluation, from the records of its bins; the field names are the keys of results.json."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ from binpick_env.scenes.clutter import pooled_clutter
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, versions
 from policies.evaluation.config import EvaluationConfig
-from policies.evaluation.failure_attribution import Blame
-from policies.evaluation.frame_summary import over_bins, summarise_sight
+from policies.evaluation.failure_attribution import FailureStage
+from policies.evaluation.frame_summary import over_bins, summarise_frames
 from policies.evaluation.records import BinRecord
 from policies.evaluation.statistics import Interval, Rate, bootstrap_ratio, rate
 from policies.grasping.outcomes import Abstention, GraspOutcome
@@ -22,48 +22,53 @@ from policies.picking.episode import Termination
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """The main job's numbers. A rate is None where there was no trial; intervals are 95 %.
+    """The numbers of an evaluation. A rate is None where there was no trial; intervals are 95 %.
 
     Attributes:
         gsr: Grasp success rate: successes / attempts, pooled over the bins.
         dr: Declutter rate: parts delivered / parts settled, pooled.
         mpph: Mean picks per hour, 3600 q / (t_sense + t_compute + t_motion), means over attempts.
         motion_dph: Deliveries per hour of simulated motion alone, 3600 q / t_motion.
-        attempts: Executed attempts.
-        successes: Attempts that delivered exactly one part.
-        parts_total: Parts after settling.
-        delivered: Parts delivered.
-        lost: Parts that left play without being delivered: doubles, fallen out of the bin or into the tray unreleased.
-        abstentions: Decisions without an attempt, by reason.
-        termination: Bins by the reason of their end.
-        outcomes: Attempts by how they ended.
+        attempts: Number of executed attempts.
+        successes: Number of attempts that delivered exactly one part.
+        parts_total: Number of parts after settling.
+        delivered: Number of parts delivered.
+        lost: Number of parts that left play without being delivered: more than one at a time, fallen out of the bin, or
+            fallen into the tray unreleased.
+        abstentions: Number of decisions without an attempt, by reason.
+        termination: Number of bins, by the reason why they ended.
+        outcomes: Number of attempts, by how they ended.
         time: Means over attempts [s]: sense (nominal), compute (wall clock, one core), motion (simulated).
-        wall: Wall clock [s], pictures for people left out: an attempt's mean without the drop, a bin's mean with
-            it, and the share of it that went into rendering frames.
-        ap: ScanNet's AP of the groups that poses were searched in, over all frames that were decided on; None where
-            nothing is segmented (oracle). Likewise ap50 and ap75.
-        explained: The three after the poses have explained the points.
-        candidate_pose_accuracy: Share of offered candidates whose pose is right for the part that most of their points
-            are of: within a tenth of d_max and 5 deg.
-        candidate_precision: Share that is right for some part, and the best-scored of that part.
-        candidate_recall: Share of the parts visible to a half or more, frame by frame, that a right one was offered of.
-        candidates: Number that was offered, in all frames. parts_to_find: what the recall is of.
-        parts_to_find: See there.
-        pose_error: Medians over the candidates, right or wrong: "mm" at the part's centre, "deg" modulo symmetry.
-        blame: Failed attempts by the stage that they failed by.
-        frames: That were decided on.
-        perception_ms: Median wall clock of perception's stages by frame [ms].
-        clutter: median (mean of the bins' medians), below_half and above_nine_tenths (shares of all parts), parts.
+        wall: Wall clock without listeners such as pictures: mean of an attempt without the drop [s], mean of a bin
+            with the drop [s], and the share of the whole in which frames were rendered.
+        ap: ScanNet's AP of the segments that poses were searched in, over all frames that decisions were made on; None
+            where nothing is segmented (oracle).
+        ap50: Average precision at an IoU of 0.5, likewise.
+        ap75: Average precision at an IoU of 0.75, likewise.
+        explained: The three average precisions after points were assigned to poses.
+        candidate_pose_accuracy: Share of candidates whose pose is correct for the part that owns most of their points:
+            within a tenth of d_max and 5 deg.
+        candidate_precision: Share of candidates that are the best-scored correct pose of some part.
+        candidate_recall: Share of the parts to find, frame by frame, that have a candidate with a correct pose.
+        candidates: Number of candidates in all frames.
+        parts_to_find: Number of parts visible to a half or more, summed over all frames.
+        pose_error: Medians over all candidates that have a part: "mm" at its centre, "deg" modulo symmetry.
+        failure_attribution: Number of failed attempts, by the stage at which they failed.
+        frames: Number of frames that decisions were made on.
+        perception_ms: Median wall clock of each stage of perception for a frame [ms].
+        clutter: Visible fractions in the settled bins: median (mean of the bins' medians), below_half and
+            above_nine_tenths (shares of all parts), and the number of parts.
         camera_backend: What rendered the frames.
-        intervals: Of gsr and dr (Wilson), of mpph and motion_dph (percentile bootstrap over attempts), of gsr_bins and
-            dr_bins (the same rates, percentile bootstrap over whole bins; None for a single bin), and over bins
-            likewise of ap, ap50, ap75 and the three rates of candidates, these never narrower than Wilson's.
+        intervals: Intervals of gsr and dr (Wilson), of mpph and motion_dph (percentile bootstrap over attempts), of
+            gsr_bins and dr_bins (the same rates, percentile bootstrap over whole bins; None for a single bin), and
+            over bins likewise of ap, ap50, ap75 and the three rates of candidates, which are never narrower than
+            Wilson's.
         bins: Number of bins.
-        seed: Of the evaluation.
-        config: All settings.
-        command: Command line of the process that summed up.
-        git_commits: Of the code that made the records; more than one if the code changed between them.
-        versions: Python, platform and packages.
+        seed: Seed of the evaluation.
+        config: Every setting of the evaluation, by name.
+        command: Command line of the process that computed the summary.
+        git_commits: Commits of the code that made the records; more than one if the code changed between them.
+        versions: Versions of Python, platform and packages.
     """
 
     gsr: float | None
@@ -90,7 +95,7 @@ class Summary:
     candidates: int
     parts_to_find: int
     pose_error: dict[str, float | None]
-    blame: dict[str, int]
+    failure_attribution: dict[str, int]
     frames: int
     perception_ms: dict[str, float]
     clutter: dict[str, float | None]
@@ -105,48 +110,53 @@ class Summary:
 
     @property
     def gsr_rate(self) -> Rate:
-        """GSR with its interval."""
+        """Grasp success rate with its Wilson interval."""
         return rate(self.successes, self.attempts)
 
     @property
     def dr_rate(self) -> Rate:
-        """DR with its interval."""
+        """Declutter rate with its Wilson interval."""
         return rate(self.delivered, self.parts_total)
 
     @property
     def failures(self) -> int:
-        """Attempts that did not deliver exactly one part."""
+        """Number of attempts that did not deliver exactly one part."""
         return self.attempts - self.successes
+
+    def plain(self) -> dict[str, Any]:
+        """Return every field by its name, as results.json holds it."""
+        # The previous name of the failure attribution is written, too, for one version.
+        return {**asdict(self), "blame": self.failure_attribution}
 
 
 def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.random.Generator) -> Summary:
-    """Pool the bins.
+    """Pool the bins of an evaluation.
 
     Args:
-        records: Of one configuration.
-        config: That configuration.
-        rng: The bootstrap's chance.
+        records: Records of the bins, all made with ``config``.
+        config: Configuration of the evaluation.
+        rng: Random numbers for the bootstrap.
 
     Raises:
-        ValueError: There are no records, or one is of another configuration.
+        ValueError: There are no records, or one was made with another configuration.
     """
     digest = config.digest()
     if not records:
-        raise ValueError("there is nothing to sum up: no bin was evaluated")
-    if strangers := [record.index for record in records if record.config_hash != digest]:
-        raise ValueError(f"bins {strangers} are of another configuration")
+        raise ValueError("there is nothing to summarise: no bin was evaluated")
+    if others := [record.index for record in records if record.config_hash != digest]:
+        raise ValueError(f"bins {others} are of another configuration")
     attempts = [pick for record in records for pick in record.attempts]
-    gains = np.array([pick.outcome is GraspOutcome.DELIVERED for pick in attempts], dtype=np.float64)
+    delivering = np.array([pick.outcome is GraspOutcome.DELIVERED for pick in attempts], dtype=np.float64)
     times = np.array([(a.t_sense, a.t_compute, a.t_motion) for a in attempts]).reshape(-1, 3)
-    successes, settled = int(gains.sum()), sum(record.parts_total for record in records)
+    successes, settled = int(delivering.sum()), sum(record.parts_total for record in records)
     delivered = sum(record.delivered for record in records)
     gsr, dr = rate(successes, len(attempts)), rate(delivered, settled)
     bins = [(sum(a.outcome is GraspOutcome.DELIVERED for a in r.attempts), len(r.attempts)) for r in records]
-    mpph, mpph_interval = _per_hour(gains, times.sum(axis=1), rng)
-    motion_dph, motion_interval = _per_hour(gains, times[:, 2], rng)
+    mpph, mpph_interval = _per_hour(delivering, times.sum(axis=1), rng)
+    motion_dph, motion_interval = _per_hour(delivering, times[:, 2], rng)
     gsr_bins = over_bins(bins, rng)
     dr_bins = over_bins([(record.delivered, record.parts_total) for record in records], rng)
-    sight = summarise_sight(records, rng)
+    perception = summarise_frames(records, rng)
     return Summary(
         gsr=gsr.value,
         dr=dr.value,
@@ -162,19 +172,21 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
         outcomes=_count(GraspOutcome, [pick.outcome for pick in attempts]),
         time={name: _mean(times[:, k]) for k, name in enumerate(("sense", "compute", "motion"))},
         wall=_wall(records, len(attempts)),
-        ap=sight.ap["ap"],
-        ap50=sight.ap["ap50"],
-        ap75=sight.ap["ap75"],
-        candidate_pose_accuracy=sight.rates["candidate_pose_accuracy"],
-        candidate_precision=sight.rates["candidate_precision"],
-        candidate_recall=sight.rates["candidate_recall"],
-        explained=sight.explained,
-        candidates=sight.counts["candidate_pose_accuracy"][1],
-        parts_to_find=sight.counts["candidate_recall"][1],
-        pose_error=sight.errors,
-        blame=_count(Blame, [pick.blame for pick in attempts if pick.blame is not None]),
-        frames=sight.frames,
-        perception_ms=sight.stages,
+        ap=perception.ap["ap"],
+        ap50=perception.ap["ap50"],
+        ap75=perception.ap["ap75"],
+        candidate_pose_accuracy=perception.rates["candidate_pose_accuracy"],
+        candidate_precision=perception.rates["candidate_precision"],
+        candidate_recall=perception.rates["candidate_recall"],
+        explained=perception.explained,
+        candidates=perception.counts["candidate_pose_accuracy"][1],
+        parts_to_find=perception.counts["candidate_recall"][1],
+        pose_error=perception.errors,
+        failure_attribution=_count(
+            FailureStage, [p.failure_attribution for p in attempts if p.failure_attribution is not None]
+        ),
+        frames=perception.frames,
+        perception_ms=perception.stages,
         clutter=pooled_clutter([record.clutter for record in records]),
         camera_backend=config.camera.backend,
         intervals={
@@ -184,7 +196,7 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
             "motion_dph": motion_interval,
             "gsr_bins": gsr_bins,
             "dr_bins": dr_bins,
-            **sight.intervals,
+            **perception.intervals,
         },
         bins=len(records),
         seed=config.seed,
@@ -196,11 +208,11 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
 
 def save_summary(path: Path, summary: Summary) -> None:
     """Write ``summary`` as JSON, in one piece."""
-    write_atomically(path, json_text(asdict(summary)))
+    write_atomically(path, json_text(summary.plain()))
 
 
 def _count(kinds: Any, found: Sequence[Any]) -> dict[str, int]:
-    """Count every member of an enum, the absent ones too."""
+    """Count the values that are each member of an enum; members that do not occur count 0."""
     counts = Counter(found)
     return {str(kind): counts[kind] for kind in kinds}
 
@@ -209,10 +221,11 @@ def _mean(values: Any) -> float | None:
     return float(np.mean(values)) if len(values) else None
 
 
-def _per_hour(gains: Any, seconds: Any, rng: np.random.Generator) -> tuple[float | None, Interval | None]:
-    if len(gains) == 0 or seconds.min() <= 0:
+def _per_hour(counts: Any, seconds: Any, rng: np.random.Generator) -> tuple[float | None, Interval | None]:
+    """Return the rate per hour of (N,) counts in as many times, with its interval; None without attempts."""
+    if len(counts) == 0 or seconds.min() <= 0:
         return None, None
-    return float(3600 * gains.sum() / seconds.sum()), bootstrap_ratio(3600 * gains, seconds, rng)
+    return float(3600 * counts.sum() / seconds.sum()), bootstrap_ratio(3600 * counts, seconds, rng)
 
 
 def _wall(records: Sequence[BinRecord], attempts: int) -> dict[str, float | None]:

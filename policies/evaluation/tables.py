@@ -1,4 +1,4 @@
-"""A result as plain text, for the terminal."""
+"""An evaluation's numbers as plain text, for the terminal."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ _BAR = 24
 
 
 def result_table(summary: Summary) -> str:
-    """Return the table that ends the main job."""
+    """Return the table of an evaluation's numbers."""
     config = summary.config
     title = " · ".join([config["part"], *conditions(config), f"{summary.bins} bins", f"seed {summary.seed}"])
     lines = [
@@ -27,11 +27,11 @@ def result_table(summary: Summary) -> str:
         *_headline(summary),
         *_over_bins(summary),
         "─" * WIDTH,
-        *_sight(summary),
+        *_perception(summary),
     ]
     lines += ["─" * WIDTH, *_times(summary), "─" * WIDTH]
     lines += _counts("attempts by outcome", summary.outcomes, summary.attempts)
-    lines += _counts("failed attempts by blame", summary.blame, summary.failures)
+    lines += _counts("failed attempts by stage", summary.failure_attribution, summary.failures)
     lines += _counts("abstentions by reason", summary.abstentions, sum(summary.abstentions.values()))
     lines += _counts("bins by their end", summary.termination, summary.bins)
     lines += ["─" * WIDTH, *_parts(summary), *_clutter(summary)]
@@ -41,7 +41,13 @@ def result_table(summary: Summary) -> str:
 
 
 def found_note(found: Sequence[BinRecord], bins: int, commit: str) -> str:
-    """Say how many of ``bins`` records were there already, and warn if other code than ``commit`` made them."""
+    """Return a note on the records that existed already, with a warning if other code made them.
+
+    Args:
+        found: Records that are not computed again.
+        bins: Number of bins of the evaluation.
+        commit: Commit of this code.
+    """
     made = sorted({record.git_commit for record in found})
     names = ", ".join(name or "unknown" for name in made)
     note = f"{len(found)} of {bins} bins were there already, made by commit {names}"
@@ -51,7 +57,7 @@ def found_note(found: Sequence[BinRecord], bins: int, commit: str) -> str:
 
 
 def part_note(part: Part) -> str:
-    """Say how a part's file was understood."""
+    """Return how a part's file was read: unit, size, symmetry and density."""
     order = part.model.symmetry.order
     symmetry = "solid of revolution" if np.isinf(order) else f"symmetry order {order:.0f}"
     size = f"d_max {1000 * part.model.d_max:.0f} mm"
@@ -59,7 +65,7 @@ def part_note(part: Part) -> str:
 
 
 def _side_by_side(summary: Summary) -> list[str]:
-    """Show what the same bins say of segmentation, poses and picking in three columns."""
+    """Return segmentation, poses and picking of the same bins in three columns."""
     gsr = summary.gsr_rate
     columns = [
         ("segmentation AP", "recognition", "picking success"),
@@ -78,7 +84,7 @@ def _side_by_side(summary: Summary) -> list[str]:
     return [f"{a:<34}{b:<24}{c:<20}".rstrip() for a, b, c in columns]
 
 
-def _sight(summary: Summary) -> list[str]:
+def _perception(summary: Summary) -> list[str]:
     error = summary.pose_error
     lines = [
         f"candidates    precision {percent(summary.candidate_precision)}, recall {percent(summary.candidate_recall)} "

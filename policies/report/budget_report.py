@@ -1,4 +1,4 @@
-"""The error budget as text and as a page."""
+"""The error budget as text and as an HTML page."""
 
 from html import escape
 from pathlib import Path
@@ -7,7 +7,7 @@ from binpick_env.jobs.report_style import page, table
 from binpick_env.jobs.text_tables import columns, number, percent
 from perception.runtime.files import write_atomically
 from policies.evaluation.budget import COSTS, MODES, Budget, Cost
-from policies.evaluation.failure_attribution import Blame
+from policies.evaluation.failure_attribution import FailureStage
 
 _RATES = {
     "AP": "ap",
@@ -20,7 +20,7 @@ _RATES = {
     "DR": "dr",
 }
 _NAMES = {"gsr": "GSR [points]", "dr": "DR [points]", "mpph": "MPPH"}
-NOTE = "Differences of the pooled numbers; in brackets 95 % from resampling bins, each drawn both ways at once."
+NOTE = "Differences of the pooled numbers; in brackets 95 % intervals, paired bootstrap over bins."
 
 
 def budget_table(budget: Budget) -> str:
@@ -36,7 +36,7 @@ def budget_table(budget: Budget) -> str:
 
 
 def write_budget_report(path: Path, budget: Budget) -> None:
-    """Write the page; it links to the evaluations' own reports, which lie in folders beside it."""
+    """Write the page; it links to the evaluations' own reports in the folders beside it."""
     part = escape(Path(budget.part).name)
     rows = [[escape(cell) for cell in row] for row in _numbers(budget)]
     rows.append(["picks", *(f"<a href='{mode}/report.html'>report</a>" for mode in MODES)])
@@ -55,14 +55,17 @@ def _stages() -> list[str]:
 
 
 def _numbers(budget: Budget) -> list[list[str]]:
-    """Return the rows of the evaluations' numbers, and of failed attempts by blame."""
+    """Return the rows of the evaluations' numbers, with failed attempts by stage."""
     summaries = [budget.modes[mode] for mode in MODES]
     rows = [[name, *(percent(getattr(summary, key)) for summary in summaries)] for name, key in _RATES.items()]
     rows.append(["MPPH", *(number(summary.mpph, 0) for summary in summaries)])
     times = ("sense", "compute", "motion")
     rows += [[f"{name} [s]", *(number(summary.time[name], 2) for summary in summaries)] for name in times]
     rows.append(["attempts", *(str(summary.attempts) for summary in summaries)])
-    rows += [[f"failed by {name}", *(str(summary.blame[name]) for summary in summaries)] for name in Blame]
+    rows += [
+        [f"failed at {stage}", *(str(summary.failure_attribution[stage]) for summary in summaries)]
+        for stage in FailureStage
+    ]
     rows.append(["abstentions", *(str(sum(summary.abstentions.values())) for summary in summaries)])
     return rows
 

@@ -1,6 +1,6 @@
-"""Every pick of an evaluation in pictures, failures first, and the links that show one kind of them alone.
+"""Pictures of every decision of an evaluation, failures first, with links that show one kind alone.
 
-A link to ``#only-KIND`` hides all other picks by CSS's ``:target``: the page needs no script.
+A link to ``#only-KIND`` hides all other decisions by the CSS selector ``:target``: the page needs no script.
 """
 
 import os
@@ -18,11 +18,12 @@ from policies.evaluation.records import BinRecord, PickRecord
 from policies.grasping.outcomes import GraspOutcome
 
 ALL = "all"
+FAILED_AT = "failed-at"  # prefix of the kinds of attempts that failed at one stage
 NOTE = (
-    "The frame that each decision was made on, boundary points in the colour of the part that their group is (red and "
-    "white stripes: of none). The outline is the chosen candidate's model, green where its pose is right and red where "
-    "it is wrong; fingertips open (thin) and closed (thick) in orange, the last 5 cm of the approach in white. Where "
-    "nothing was tried, the whole bin with all candidates."
+    "The frame that each decision was made on. Boundary points have the colour of the part that their segment matches; "
+    "red and white stripes: no part. The outline is that of the chosen candidate, green if its pose is correct and red "
+    "if it is wrong. Orange: the fingertips open (thin) and closed (thick); white: the last 5 cm of the approach. An "
+    "abstention's picture shows the whole bin with all candidates."
 )
 _CSS = """
 .picks figure { scroll-margin: 12px; } .picks img { aspect-ratio: 1; background: var(--track); }
@@ -34,11 +35,11 @@ _CSS = """
 
 
 def gallery(records: Sequence[BinRecord], pictures: str) -> str:
-    """Return the section of all picks.
+    """Return the section of the page that shows every decision.
 
     Args:
-        records: Of all bins, in order.
-        pictures: Folder of their pictures, as a path relative to the page; see `relative_folder`.
+        records: Records of all bins, in order.
+        pictures: Folder of the pictures, as a path relative to the page; see `relative_folder`.
     """
     picks = [(record, k, pick) for record in records for k, pick in enumerate(record.picks)]
     picks.sort(key=lambda each: _rank(each[2]))
@@ -61,21 +62,26 @@ def gallery(records: Sequence[BinRecord], pictures: str) -> str:
 
 
 def kinds(pick: PickRecord) -> list[str]:
-    """Return the names by which a pick can be shown: its outcome or its abstention's reason, failure, blame."""
+    """Return the kinds that a decision belongs to: its outcome or its reason for abstention, and how it failed."""
     names = [str(pick.outcome or pick.abstention)]
     if pick.outcome is not None and not delivered(pick):
         names.append("failed")
-    if pick.blame is not None:
-        names.append(f"blame-{pick.blame}")
+    if pick.failure_attribution is not None:
+        names.append(f"{FAILED_AT}-{pick.failure_attribution}")
     return names
 
 
 def linked_bars(rows: Sequence[tuple[str, int, str]], total: int) -> str:
-    """Return horizontal bars of (kind of pick, count, class) against ``total``, linked to their picks."""
+    """Return horizontal bars that are linked to the decisions they count.
+
+    Args:
+        rows: (kind of decision, number of them, CSS class) of each bar.
+        total: Number that a bar of full length stands for.
+    """
     lines = []
     for kind, count, colour in rows:
         share = count / total if total else 0.0
-        name = escape(words(kind).removeprefix("blame "))
+        name = escape(words(kind).removeprefix(words(FAILED_AT)).strip())
         linked = f"<a href='#only-{kind}'>{name}</a>" if count else f"<span style='text-align:left'>{name}</span>"
         fill = f"<div><i class='{colour}' style='width:{100 * share:.1f}%'></i></div>"
         lines.append(f"<div class='bar'>{linked}{fill}<span>{count} · {100 * share:.1f} %</span></div>")
@@ -83,7 +89,7 @@ def linked_bars(rows: Sequence[tuple[str, int, str]], total: int) -> str:
 
 
 def strip(record: BinRecord) -> str:
-    """Return a bin's picks as a row of coloured squares, linked to their pictures."""
+    """Return a bin's decisions as a row of coloured squares that are linked to their pictures."""
     squares = [
         f"<a class='{colour(pick)}' href='#{_anchor(record, k)}' title='{k}: {escape(title(pick))}'></a>"
         for k, pick in enumerate(record.picks)
@@ -92,27 +98,27 @@ def strip(record: BinRecord) -> str:
 
 
 def relative_folder(pictures: Path, page: Path) -> str:
-    """Return the folder of pictures as a page at ``page`` refers to it."""
+    """Return the path of the folder ``pictures`` relative to the HTML file ``page``."""
     return Path(os.path.relpath(pictures, page.parent)).as_posix()
 
 
 def delivered(pick: PickRecord) -> bool:
-    """Whether a pick delivered exactly one part."""
+    """Return whether an attempt delivered exactly one part."""
     return pick.outcome is GraspOutcome.DELIVERED
 
 
 def colour(pick: PickRecord) -> str:
-    """Return a pick's class: good, bad or idle."""
+    """Return the CSS class of a decision: good for a delivery, bad for a failure, idle for an abstention."""
     return "idle" if pick.outcome is None else "good" if delivered(pick) else "bad"
 
 
 def title(pick: PickRecord) -> str:
-    """Return in words how a pick ended."""
+    """Return how a decision ended, in words."""
     return words(str(pick.outcome or pick.abstention))
 
 
 def words(kind: str) -> str:
-    """Return a kind's name for people."""
+    """Return the name of a kind in words."""
     return kind.replace("_", " ").replace("-", " ")
 
 
@@ -129,8 +135,8 @@ def _figure(record: BinRecord, k: int, pick: PickRecord, pictures: str) -> str:
     classes = " ".join(f"is-{kind}" for kind in kinds(pick))
     source = quote(f"{pictures}/{pick.picture}")
     picture = f"<img alt='' loading='lazy' src='{source}'>" if pick.picture else "<p>no picture</p>"
-    blamed = "" if pick.blame is None else " " + tag(f"blame: {pick.blame}", "idle")
-    caption = f"{tag(title(pick), colour(pick))}{blamed} bin {record.index}, decision {k}{_facts(record, pick)}"
+    stage = "" if pick.failure_attribution is None else " " + tag(f"failed at {pick.failure_attribution}", "idle")
+    caption = f"{tag(title(pick), colour(pick))}{stage} bin {record.index}, decision {k}{_facts(record, pick)}"
     return f"<figure id='{_anchor(record, k)}' class='{classes}'>{picture}<figcaption>{caption}</figcaption></figure>"
 
 
@@ -143,7 +149,7 @@ def _facts(record: BinRecord, pick: PickRecord) -> str:
 
 
 def candidate_words(candidate: CandidateRecord) -> str:
-    """Return what is known of a candidate: part, score, errors, overlap of its segment."""
+    """Return a candidate's part, score, pose errors and the IoU of its segment, in words."""
     part = "no part" if candidate.part < 0 else f"part {candidate.part}"
     facts = [part, f"score {number(candidate.score, 2)}"]
     if candidate.translation is not None and candidate.rotation is not None:

@@ -1,4 +1,4 @@
-"""The picture of one decision: the frame, its groups of boundary points in colours, the pose and the jaw on it."""
+"""The picture of one decision: the frame, its segments in colours, the pose and the jaw."""
 
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -23,24 +23,30 @@ from policies.grasping.outcomes import GraspCandidate
 if TYPE_CHECKING:
     from perception.pipeline import Perception
 
-CROP = 0.17  # edge of the square around a grasp [m]
-CROP_PX = 360
-BIN_MARGIN = 0.02  # around the bin where all of it is shown [m]
+CROP = 0.17  # side of the square that is shown around a grasp [m]
+CROP_PX = 360  # side of a picture [px]
+BIN_MARGIN = 0.02  # width of the margin around the bin where all of it is shown [m]
 Picture = NDArray[np.uint8]
 Point = tuple[float, float, float]
 Colour = tuple[int, int, int]  # BGR
 _JAW, _APPROACH = (40, 140, 255), (255, 255, 255)  # orange and white, BGR
 _PAD = 0.011  # half the width of a pad [m]
-_REACH = 0.05  # of the approach that is drawn [m]
+_APPROACH_LENGTH = 0.05  # drawn length of the approach [m]
 _DIM = 0.7  # brightness of the frame under what is drawn on it
-_FRACTION = 4  # bits of a pixel's fraction that OpenCV draws with
+_FRACTION = 4  # number of fractional bits in the coordinates that OpenCV draws with
 
 
 class Crop:
     """A square window of a frame that can be drawn on."""
 
     def __init__(self, frame: Frame, centre_world: Floats, edge: float) -> None:
-        """Cut out the square of ``edge`` [m] around what is seen at (3,) ``centre_world``."""
+        """Cut the square out of a frame.
+
+        Args:
+            frame: The frame.
+            centre_world: (3,) point in the middle of the square [m].
+            edge: Side of the square at the centre's distance from the camera [m].
+        """
         self._T_cam_world = invert_transform(frame.T_world_cam)
         self._K = frame.K
         centre_cam = transform_points(self._T_cam_world, centre_world[None])
@@ -52,7 +58,7 @@ class Crop:
         self.picture: Picture = np.repeat((_DIM * grey).astype(np.uint8)[:, :, None], 3, axis=2)
 
     def dots(self, pixels: NDArray[np.int64], colours: Picture) -> None:
-        """Draw (N, 2) pixels (u, v) of the frame in (N, 3) BGR colours."""
+        """Draw dots at (N, 2) pixels (u, v) of the frame in (N, 3) BGR colours."""
         radius = max(1, round(0.6 * self.scale))
         at = np.rint(self.scale * pixels + self._shift).astype(int)
         inside = ((at >= 0) & (at < CROP_PX)).all(axis=1)
@@ -60,13 +66,13 @@ class Crop:
             cv2.circle(self.picture, centre, radius, colour, cv2.FILLED)
 
     def strokes(self, ends: Floats, colour: Colour, thickness: int = 1) -> None:
-        """Draw (S, 2, 2) ends (u, v) in the frame [px]."""
+        """Draw S strokes between (S, 2, 2) pixels (u, v) of the frame."""
         fixed = np.rint((self.scale * ends + self._shift) * (1 << _FRACTION)).astype(np.int32)
         cv2.polylines(self.picture, list(fixed), False, colour, thickness, cv2.LINE_AA, _FRACTION)
 
     def jaw(self, grasp: GraspCandidate) -> None:
-        """Draw the jaw as it opens (thin) and as it closes (thick), and the last 5 cm of its approach."""
-        self._line(grasp, (0.0, 0.0, -_REACH), (0.0, 0.0, 0.0), _APPROACH, 1)
+        """Draw the open jaw (thin), the closed jaw (thick) and the last 5 cm of the approach."""
+        self._line(grasp, (0.0, 0.0, -_APPROACH_LENGTH), (0.0, 0.0, 0.0), _APPROACH, 1)
         for gap, thickness in ((grasp.opening, 1), (grasp.width, 3)):
             half = gap / 2
             self._line(grasp, (0.0, -half, 0.0), (0.0, half, 0.0), _JAW, 1)
@@ -116,18 +122,18 @@ def pick_picture(decision: Decision, edges: SeenEdges) -> Picture:
 
 @lru_cache(maxsize=2)
 def part_edges(part: PartModel) -> SeenEdges:
-    """Return a part's edges from all round; seconds the first time for a new part."""
+    """Return the edges of a part from all directions; takes seconds for a new part."""
     return edge_appearances(part)
 
 
-def _scene_record(labelled_capture: LabelledCapture, seen: "Perception") -> SceneRecord:
-    """Return the segments as what colours are made of."""
+def _scene_record(labelled_capture: LabelledCapture, perception: "Perception") -> SceneRecord:
+    """Return the segments in the form that `prediction_colours` requires."""
     return SceneRecord(
-        labels=labels_of(seen.segments, len(seen.boundary)),
-        scores=np.array([segment.score for segment in seen.segments], np.float64),
-        instance_ids=point_owners(labelled_capture, seen.boundary),
+        labels=labels_of(perception.segments, len(perception.boundary)),
+        scores=np.array([segment.score for segment in perception.segments], np.float64),
+        instance_ids=point_owners(labelled_capture, perception.boundary),
         visible_fractions=labelled_capture.visible_fractions,
-        pixels=seen.boundary.pixels,
+        pixels=perception.boundary.pixels,
         picture=np.zeros((0, 0), np.uint8),
         corner=(0, 0),
         wrong_side=0,

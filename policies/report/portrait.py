@@ -12,9 +12,9 @@ from perception.geometry import Floats, make_transform, rotation_about
 from policies.motion.ik import IkSolver
 from policies.motion.planning_scene import PlanningScene
 
-HOVER = 0.27  # of the tcp above the bin's floor [m]
-_MAX_STEPS = 150  # of the arm's way there; 6 s
-_ARRIVED = 0.01  # [rad]
+HOVER = 0.27  # height of the tcp above the bin's floor [m]
+_MAX_STEPS = 150  # largest number of control steps of the motion over the bin; 6 s
+_ARRIVED = 0.01  # largest joint error [rad] and velocity [rad/s] at which the arm has arrived
 _SUPERSAMPLING = 2
 
 
@@ -22,13 +22,13 @@ def portrait(part: str, seed: int, width: int, height: int) -> NDArray[np.uint8]
     """Return an (H, W, 3) uint8 RGB picture of a settled bin of ``part`` with the arm over it.
 
     Args:
-        part: Catalogue name or mesh file.
-        seed: Of the pile.
-        width: Of the picture [px].
-        height: Of the picture [px].
+        part: Catalogue name, or path of a mesh file.
+        seed: Seed of the bin.
+        width: Width of the picture [px].
+        height: Height of the picture [px].
 
     Raises:
-        RuntimeError: The arm does not reach over the bin.
+        RuntimeError: The arm cannot reach the point over the bin.
     """
     env = BinPickEnv(part=part, perception="oracle")
     try:
@@ -45,7 +45,7 @@ def portrait(part: str, seed: int, width: int, height: int) -> NDArray[np.uint8]
 
 
 def save_png(picture: NDArray[np.uint8], path: Path) -> None:
-    """Write an (H, W, 3) uint8 RGB picture."""
+    """Write an (H, W, 3) uint8 RGB picture as PNG; the folder is made."""
     coded, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not coded:
         raise RuntimeError(f"OpenCV could not encode {path}")

@@ -1,4 +1,4 @@
-"""Where everything was, step by step: gathered while it happens, written in one piece per entity at the end."""
+"""The motion of a recording: poses of robot and parts, collected step by step, written per entity at the end."""
 
 import numpy as np
 import rerun as rr
@@ -8,11 +8,11 @@ from binpick_env.camera.view import visible_geoms
 from binpick_env.cell.simulation import Simulation
 from perception.geometry import Floats, quat_from_matrix
 
-STILL = 1e-5  # parts that no number of whose poses changes by as much are not written again [m, and of a quaternion]
+STILL = 1e-5  # change of a position [m] or quaternion up to which a pose is not written again
 
 
 class Motion:
-    """Follows the robot's links, the parts in play, the jaw and the force on the robot."""
+    """Collects poses of the robot's links and of the parts in play, the jaw's opening and the force on the robot."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -26,10 +26,10 @@ class Motion:
         self._links: list[Floats] = []  # (B, 7) each: position [m], wxyz
         self._scalars: list[tuple[float, float, float]] = []
         self._part_times: list[float] = []
-        self._parts: list[Floats] = []  # (N, 7) each, of those in play
+        self._parts: list[Floats] = []  # (N, 7) each, of the parts in play
 
     def add(self) -> None:
-        """Remember this moment. It reads the simulation and changes nothing of it."""
+        """Collect the present state; the simulation is not changed."""
         simulation = self._simulation
         self._times.append(simulation.time)
         self._links.append(self._links_now())
@@ -42,15 +42,15 @@ class Motion:
             self._parts.append(parts)
 
     def log_now(self, stream: rr.RecordingStream) -> None:
-        """Write where the robot and the parts are now, on all of the stream's timelines."""
+        """Write the present poses of robot and parts at the stream's present time."""
         for path, link in zip(self.paths.values(), self._links_now(), strict=True):
             stream.log(path, rr.Transform3D(translation=link[:3], quaternion=np.roll(link[3:], -1)))
-        positions, quaternions, scales = drawn(self._parts_now())
+        positions, quaternions, scales = instance_poses(self._parts_now())
         poses = rr.InstancePoses3D(translations=positions, quaternions=quaternions, scales=scales)
         stream.log("world/parts", poses)
 
     def send(self, stream: rr.RecordingStream) -> None:
-        """Write all that was remembered, on the timeline ``time``."""
+        """Write all that was collected, on the timeline ``time``."""
         if not self._times:
             return
         times = rr.TimeColumn("time", duration=np.array(self._times))
@@ -62,7 +62,7 @@ class Motion:
             )
         for path, values in zip(("gripper/closed", "gripper/target", "force"), np.array(self._scalars).T, strict=True):
             stream.send_columns(path, [times], rr.Scalars.columns(scalars=values))
-        moments = [drawn(parts) for parts in self._parts]
+        moments = [instance_poses(parts) for parts in self._parts]
         positions, quaternions, scales = (np.concatenate(each) for each in zip(*moments, strict=True))
         poses = rr.InstancePoses3D.columns(translations=positions, quaternions=quaternions, scales=scales)
         moved = rr.TimeColumn("time", duration=np.array(self._part_times))
@@ -77,14 +77,17 @@ class Motion:
 
 
 def pack(T_world: Floats) -> Floats:
-    """Return (N, 7) position and wxyz of (N, 4, 4) poses."""
+    """Return (N, 4, 4) poses as (N, 7): position [m] and quaternion wxyz."""
     return np.hstack([T_world[:, :3, 3], quat_from_matrix(T_world[:, :3, :3])])
 
 
-def drawn(poses: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return translations (N, 3), quaternions (N, 4) xyzw and scales (N, 3) at which a mesh is drawn.
+def instance_poses(poses: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return translations (N, 3), quaternions (N, 4) xyzw and scales (N, 3) at which a viewer draws a mesh.
 
-    Without any a viewer would draw the mesh once, at the origin: (0, 7) poses give one of size zero.
+    A viewer without any pose would draw the mesh once, at the origin. (0, 7) poses therefore give one of scale 0.
+
+    Args:
+        poses: (N, 7) positions [m] and quaternions wxyz, as `pack` returns them.
     """
     if len(poses) == 0:
         return np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.zeros((1, 3))

@@ -1,7 +1,8 @@
-"""What a recording shows and how it opens: the cell, a frame and what was seen in it, a grasp, the motion.
+"""The contents of a recording: the cell, frames and what perception found in them, grasps, and the motion.
 
-Needs Rerun, which comes with the extra ``viz``: imported only where something is recorded. Everything lies below
-``world`` in the world frame [m]; the timelines are ``time``, simulated [s], and ``pick``, the number of the decision.
+The module needs Rerun, which comes with the extra ``viz``; it is imported only where something is recorded. All
+entities are below ``world`` in the world frame [m]. The timelines are ``time``, simulated [s], and ``pick``, the number
+of the decision.
 """
 
 import warnings
@@ -25,38 +26,44 @@ from perception.frame import Frame
 from perception.geometry import Floats, deproject_depth, matrix_from_quat, transform_points
 from perception.instance import labels_of
 from policies.grasping.outcomes import GraspCandidate, PickResult
-from policies.report.recording_motion import Motion, drawn, pack
+from policies.report.recording_motion import Motion, instance_poses, pack
 
-if TYPE_CHECKING:  # it brings the pose estimator's kernels, which the oracle does without
+if TYPE_CHECKING:  # it imports the pose estimator's kernels, which the oracle does not need
     from perception.pipeline import Perception
 
 Vector = tuple[float, float, float]
-CLOUD_POINTS = 60_000  # of a frame at most, on a regular grid of its pixels
+CLOUD_POINTS = 60_000  # largest number of points of a frame, on a regular grid of its pixels
 JPEG_QUALITY = 80
-_POSE, _TRUE, _NO_GROUP = (80, 190, 120), (160, 164, 172), (110, 110, 110)
+_POSE, _TRUE, _NO_SEGMENT = (80, 190, 120), (160, 164, 172), (110, 110, 110)
 _BACKGROUND = (38, 40, 46)
 _JAW, _APPROACH = (255, 140, 40), (235, 235, 235)
-_FINGER, _PAD, _REACH = 0.04, 0.011, 0.10  # a finger's drawn length, half a pad's width, the drawn approach [m]
-_NORMAL_STEPS = 20  # corners of a vertex share a normal up to a twentieth
+_FINGER, _PAD = 0.04, 0.011  # drawn length of a finger, half the width of a pad [m]
+_APPROACH_LENGTH = 0.10  # drawn length of the approach [m]
+_NORMAL_STEPS = 20  # corners of a vertex share a normal if its coordinates agree to a twentieth
 
 
 class SceneLog:
-    """Writes what happens in a cell into a Rerun file, at the times it is told."""
+    """Writes the events of a bin into a Rerun file."""
 
     def __init__(self, path: Path, env: BinPickEnv) -> None:
-        """Open ``path`` and write what stays as it is; about a second, most of it for the robot's meshes."""
+        """Open the file and write what does not change; this takes about a second, mostly for the robot's meshes.
+
+        Args:
+            path: Path of the rrd file.
+            env: The environment, after its reset.
+        """
         self._path, self._env = path, env
         self._stream = rr.RecordingStream("binpick")
         self._stream.save(path, default_blueprint=_blueprint(env))
         self._stream.send_recording_name(f"a bin of {env.part.model.name}")
-        self._stream.set_log_time_enabled(False)  # wall clock tells nothing here
+        self._stream.set_log_time_enabled(False)  # wall clock has no meaning here
         self._motion = Motion(env.simulation)
         self._log_shapes()
         for entity, name in (("gripper/closed", "closed"), ("gripper/target", "target"), ("force", "force [N]")):
             self._stream.log(entity, rr.SeriesLines(names=name), static=True)
 
     def _log_shapes(self) -> None:
-        """Write every visible shape once: of robot and cell, and the part's for true and for seen poses."""
+        """Write the shapes of robot and cell, and the part's shape for true and for estimated poses."""
         self._stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         simulation = self._env.simulation
         geoms = visible_geoms(simulation.model)
@@ -68,7 +75,7 @@ class SceneLog:
         self._stream.log("world/seen/poses", shaded_mesh(vertices, faces, _POSE), static=True)
 
     def _log_body(self, body: int) -> None:
-        """Write a body's visible geoms, each once, and its pose if it never moves."""
+        """Write a body's visible geoms, and its pose if it never moves."""
         simulation = self._env.simulation
         model, data = simulation.model, simulation.data
         path = self._motion.paths.get(body)
@@ -80,11 +87,15 @@ class SceneLog:
             self._stream.log(f"{path}/{k}", geom_mesh(model, int(geom)), static=True)
 
     def step(self) -> None:
-        """Remember where everything is now."""
+        """Collect the present poses of robot and parts."""
         self._motion.add()
 
     def frame(self, pick: int) -> None:
-        """Write the last frame, what was seen in it and where everything is, as what decision ``pick`` is made on."""
+        """Write the last frame, what perception found in it, and the present poses of robot and parts.
+
+        Args:
+            pick: Number of the decision that will be made on the frame.
+        """
         env, stream = self._env, self._stream
         self._at(env.simulation.time, pick)
         _log_camera(stream, env.frame)
@@ -92,17 +103,23 @@ class SceneLog:
         if env.observed.perception is not None:
             stream.log("world/seen/segments", _segments(env.frame, env.observed.perception))
         T_world: Floats = np.array([each.T_world_part for each in env.candidates]).reshape(-1, 4, 4)
-        translations, quaternions, scales = drawn(pack(T_world))
+        translations, quaternions, scales = instance_poses(pack(T_world))
         poses = rr.InstancePoses3D(translations=translations, quaternions=quaternions, scales=scales)
         stream.log("world/seen/poses", poses)
         labels = [f"{each.score:.2f}" for each in env.candidates]
         centres = np.array([each.centre_world for each in env.candidates]).reshape(-1, 3)
         stream.log("world/seen/scores", rr.Points3D(centres, labels=labels, radii=0.001, colors=_POSE))
-        stream.log("world/grasp", rr.LineStrips3D([]))  # the last one's is over
+        stream.log("world/grasp", rr.LineStrips3D([]))  # that of the last decision is over
         self._motion.log_now(stream)
 
     def decision(self, pick: int, start: float, result: PickResult) -> None:
-        """Write decision ``pick``, made at ``start`` [s] and carried out by now."""
+        """Write a decision and how it ended.
+
+        Args:
+            pick: Number of the decision.
+            start: Simulated time at which it was made [s].
+            result: What was decided, and how the attempt ended.
+        """
         stream = self._stream
         self._at(start, pick)
         stream.log("world/grasp", jaw_lines(result.grasp) if result.grasp is not None else rr.LineStrips3D([]))
@@ -118,7 +135,7 @@ class SceneLog:
         """Write the motion and close the file.
 
         Raises:
-            OSError: The file is not whole.
+            OSError: The file is incomplete.
         """
         self._motion.send(self._stream)
         self._stream.flush()
@@ -127,7 +144,7 @@ class SceneLog:
             raise OSError("the recording could not be written to its end; is the disk full?")
 
     def abandon(self) -> None:
-        """Close the file as it is."""
+        """Close the file without the motion."""
         self._stream.disconnect()
 
     def _at(self, time: float, pick: int) -> None:
@@ -136,10 +153,10 @@ class SceneLog:
 
 
 def is_whole(path: Path) -> bool:
-    """Return whether a recording has its end: Rerun says nothing of a disk that was full."""
+    """Return whether a recording is complete; Rerun does not report that the disk was full."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what is missing
+            warnings.simplefilter("ignore")  # warnings of missing data
             RrdReader(path).store()
     except (OSError, RuntimeError, ValueError):
         return False
@@ -147,7 +164,7 @@ def is_whole(path: Path) -> bool:
 
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> rr.Mesh3D:
-    """Return a mesh or box geom in its body's frame, in its colour."""
+    """Return a mesh or box geom with its colour, in the frame of its body."""
     mesh, material = model.geom_dataid[geom], model.geom_matid[geom]
     if mesh >= 0:
         vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
@@ -163,12 +180,12 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> rr.Mesh3D:
 
 
 def shaded_mesh(vertices: Floats, faces: NDArray[np.int32], colour: tuple[int, ...] | list[int]) -> rr.Mesh3D:
-    """Return a mesh with normals, without which a viewer shades nothing; vertices are split along sharp edges only.
+    """Return a mesh with normals, which a viewer needs for shading; vertices are split along sharp edges only.
 
     Args:
-        vertices: (V, 3) [m]; several at one place count as one.
-        faces: (T, 3).
-        colour: RGB.
+        vertices: (V, 3) positions [m]; vertices at the same position are merged.
+        faces: (T, 3) indices of vertices.
+        colour: Red, green and blue, 0 to 255.
     """
     places, of = np.unique(vertices, axis=0, return_inverse=True)
     corners = of.reshape(-1)[faces]
@@ -184,8 +201,8 @@ def shaded_mesh(vertices: Floats, faces: NDArray[np.int32], colour: tuple[int, .
 
 
 def jaw_lines(grasp: GraspCandidate) -> rr.LineStrips3D:
-    """Return the jaw as it opens (thin) and as it closes (thick), and the last 10 cm of its way there."""
-    strips: list[list[Vector]] = [[(0, 0, -_REACH), (0, 0, -_FINGER)]]
+    """Return lines of the open jaw (thin), the closed jaw (thick) and the last 10 cm of the approach."""
+    strips: list[list[Vector]] = [[(0, 0, -_APPROACH_LENGTH), (0, 0, -_FINGER)]]
     radii, colours = [0.0004], [_APPROACH]
     for gap, radius in ((grasp.opening, 0.0004), (grasp.width, 0.001)):
         half = gap / 2
@@ -198,7 +215,7 @@ def jaw_lines(grasp: GraspCandidate) -> rr.LineStrips3D:
 
 
 def _cloud(frame: Frame) -> rr.Points3D:
-    """Return what the depth camera saw, thinned, in the image's grey."""
+    """Return the frame's points on a regular grid of pixels, in the image's grey."""
     step = max(1, int(np.ceil(np.sqrt(frame.valid.sum() / CLOUD_POINTS))))
     seen = frame.valid[::step, ::step]
     points_cam = deproject_depth(frame.K, frame.depth)[::step, ::step][seen]
@@ -207,11 +224,11 @@ def _cloud(frame: Frame) -> rr.Points3D:
     return rr.Points3D(transform_points(frame.T_world_cam, points_cam), colors=grey, radii=0.6 * pitch)
 
 
-def _segments(frame: Frame, seen: "Perception") -> rr.Points3D:
-    """Return the boundary points in the colours of their groups."""
-    labels = labels_of(seen.segments, len(seen.boundary))
-    colours = np.vstack([part_colours(len(seen.segments))[:, ::-1], [_NO_GROUP]])[labels]
-    points_world = transform_points(frame.T_world_cam, seen.boundary.points_cam)
+def _segments(frame: Frame, perception: "Perception") -> rr.Points3D:
+    """Return the boundary points in the colours of their segments."""
+    labels = labels_of(perception.segments, len(perception.boundary))
+    colours = np.vstack([part_colours(len(perception.segments))[:, ::-1], [_NO_SEGMENT]])[labels]
+    points_world = transform_points(frame.T_world_cam, perception.boundary.points_cam)
     return rr.Points3D(points_world, colors=colours, radii=rr.Radius.ui_points(1.5))
 
 
@@ -224,11 +241,11 @@ def _log_camera(stream: rr.RecordingStream, frame: Frame) -> None:
 
 
 def _blueprint(env: BinPickEnv) -> rrb.Blueprint:
-    """Return the views: what is, what the robot sees of it, its camera's image, jaw and force, the outcomes."""
+    """Return the views: the cell, what the robot sees, its camera's image, jaw and force, and the outcomes."""
     bin_world = env.workspace.T_world_bin[:3, 3]
-    cell = _room("The cell", ["$origin/**", "- $origin/seen/**"], bin_world, (0.95, -0.95, 0.75))
+    cell = _view("The cell", ["$origin/**", "- $origin/seen/**"], bin_world, (0.95, -0.95, 0.75))
     seen_contents = ["$origin/seen/**", "$origin/grasp", f"$origin/cell/{BIN_BODY}/**"]
-    seen = _room("What the robot sees", seen_contents, bin_world, (0.22, -0.3, 0.55))
+    seen = _view("What the robot sees", seen_contents, bin_world, (0.22, -0.3, 0.55))
     drawn_on_image = ["$origin/**", "/world/seen/segments", "/world/grasp"]
     below = rrb.Horizontal(
         rrb.Spatial2DView(name="Camera", origin="world/seen/camera", contents=drawn_on_image),
@@ -240,10 +257,17 @@ def _blueprint(env: BinPickEnv) -> rrb.Blueprint:
     return rrb.Blueprint(rrb.Vertical(rrb.Horizontal(cell, seen), below, row_shares=[2, 1]), time, collapse_panels=True)
 
 
-def _room(
+def _view(
     name: str, contents: list[str], target_world: Floats, offset: tuple[float, float, float]
 ) -> rrb.Spatial3DView:
-    """Return a view of the world that looks at 10 cm over (3,) ``target_world`` from ``offset`` beside it [m]."""
+    """Return a 3D view of the world.
+
+    Args:
+        name: Title of the view.
+        contents: Entities to show, in Rerun's query language.
+        target_world: (3,) point on the table; the view looks at the point 10 cm above it [m].
+        offset: Position of the viewer relative to the target [m].
+    """
     eye = rrb.EyeControls3D(position=target_world + offset, look_target=target_world + np.array([0.0, 0.0, 0.1]))
     return rrb.Spatial3DView(
         origin="world",

@@ -1,4 +1,4 @@
-"""``report.html``: a page with the numbers, every bin and every pick, which shows the pictures that lie beside it."""
+"""``report.html``: the numbers, every bin and every decision, with the pictures in the folder beside the page."""
 
 from collections.abc import Sequence
 from html import escape
@@ -12,12 +12,12 @@ from policies.evaluation.records import BinRecord, PickRecord
 from policies.evaluation.statistics import Interval, Rate
 from policies.evaluation.summary import Summary
 from policies.grasping.outcomes import GraspOutcome
-from policies.report.gallery import colour, gallery, linked_bars, relative_folder, strip, title
+from policies.report.gallery import FAILED_AT, colour, gallery, linked_bars, relative_folder, strip, title
 
 COLUMNS = (
     "#",
     "result",
-    "blame",
+    "failed at",
     "part",
     "width [mm]",
     "opening [mm]",
@@ -34,10 +34,10 @@ def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pic
     """Write the page in one piece.
 
     Args:
-        path: Of the HTML file.
-        summary: The numbers.
-        records: Of all bins, in order.
-        pictures: Folder in which the records' pictures lie.
+        path: Path of the HTML file.
+        summary: Numbers of the evaluation.
+        records: Records of all bins, in order.
+        pictures: Folder of the records' pictures.
     """
     config = summary.config
     part = Path(config["part"]).name
@@ -47,8 +47,8 @@ def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pic
         f"perception {' · '.join(conditions(config))} · frames by {summary.camera_backend} · "
         f"seed {summary.seed}</p>",
         _headline(summary),
-        _sight(summary),
-        _causes(summary),
+        _perception(summary),
+        _outcomes(summary),
         gallery(records, relative_folder(pictures, path)),
         "<h2>Bins</h2>" + "".join(_bin(record, pictures) for record in records),
         _provenance(summary),
@@ -75,8 +75,8 @@ def _rate_tile(name: str, rate: Rate, of: str) -> str:
     return tile(name, percent(rate.value), f"{rate.successes} of {rate.n} {of} · 95 %: {interval}", bounds)
 
 
-def _sight(summary: Summary) -> str:
-    """Return what perception did on the same frames."""
+def _perception(summary: Summary) -> str:
+    """Return the numbers of perception on the same frames."""
 
     def interval_tile(name: str, key: str, note: str) -> str:
         value, interval = getattr(summary, key), summary.intervals[key]
@@ -94,36 +94,38 @@ def _sight(summary: Summary) -> str:
         interval_tile("recall · parts half visible", "candidate_recall", f"of {summary.parts_to_find}, frame by frame"),
     ]
     stages = ", ".join(f"{name} {ms:.0f}" for name, ms in summary.perception_ms.items())
-    note = f"{summary.frames} frames that were decided on" + (f"; a frame's medians [ms]: {stages}" if stages else "")
-    return f"<h2>What perception saw in them</h2><p>{note}.</p><div class='grid tiles'>{''.join(tiles)}</div>"
+    note = f"{summary.frames} frames that decisions were made on" + (
+        f"; a frame's medians [ms]: {stages}" if stages else ""
+    )
+    return f"<h2>Perception in the same bins</h2><p>{note}.</p><div class='grid tiles'>{''.join(tiles)}</div>"
 
 
 def _spread(interval: Interval | None) -> str:
     return "" if interval is None else f" · 95 %: {100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
 
 
-def _causes(summary: Summary) -> str:
+def _outcomes(summary: Summary) -> str:
     outcomes = [(n, c, "good" if n == GraspOutcome.DELIVERED else "bad") for n, c in summary.outcomes.items()]
-    blames = [(f"blame-{name}", count, "bad") for name, count in summary.blame.items()]
+    stages = [(f"{FAILED_AT}-{name}", count, "bad") for name, count in summary.failure_attribution.items()]
     reasons = [(name, count, "idle") for name, count in summary.abstentions.items()]
     ends = [(name, count, "good" if name == "empty" else "idle") for name, count in summary.termination.items()]
     remaining = summary.parts_total - summary.delivered - summary.lost
     c = summary.clutter
     clutter = (
-        f"Of the settled bins: median visible fraction {number(c['median'], 2)}, {percent(c['below_half'])} of "
+        f"Settled bins: median visible fraction {number(c['median'], 2)}, {percent(c['below_half'])} of "
         f"parts under 0.5 visible, {percent(c['above_nine_tenths'])} over 0.9."
     )
     fate = f"{summary.delivered} delivered, {summary.lost} lost (out of play undelivered), {remaining} left in the bin."
     left = (
         f"<div class='card'><h3>Attempts by outcome</h3>{linked_bars(outcomes, summary.attempts)}"
-        f"<h3>Failed attempts by the stage to blame</h3>{linked_bars(blames, summary.failures)}</div>"
+        f"<h3>Failed attempts by stage</h3>{linked_bars(stages, summary.failures)}</div>"
     )
     right = (
         f"<div class='card'><h3>Abstentions by reason</h3>{linked_bars(reasons, sum(summary.abstentions.values()))}"
         f"<h3>Bins by their end</h3>{bars(ends, summary.bins)}<h3>Parts</h3><p>{fate}</p>"
         f"<h3>Clutter</h3><p>{clutter}</p></div>"
     )
-    return f"<h2>Where it is won and lost</h2><div class='grid two'>{left}{right}</div>"
+    return f"<h2>Outcomes and causes</h2><div class='grid two'>{left}{right}</div>"
 
 
 def _bin(record: BinRecord, pictures: Path) -> str:
@@ -151,7 +153,14 @@ def _row(k: int, pick: PickRecord) -> list[str]:
     score = f"<span title='{escape(features)}'>{number(pick.score, 2)}</span>"
     part = "–" if pick.part < 0 else str(pick.part)
     grasp = [part, mm(pick.width), mm(pick.opening), score]
-    return [str(k), tag(title(pick), colour(pick)), str(pick.blame or "–"), *grasp, *times, str(pick.frame_id)]
+    return [
+        str(k),
+        tag(title(pick), colour(pick)),
+        str(pick.failure_attribution or "–"),
+        *grasp,
+        *times,
+        str(pick.frame_id),
+    ]
 
 
 def _provenance(summary: Summary) -> str:

@@ -24,7 +24,7 @@ CONFIG = EvaluationConfig(num_parts=(6, 6))
 
 
 def outcome_of(record: BinRecord) -> tuple[object, ...]:
-    """All of a record but wall clock."""
+    """Return everything in a record except for wall clock."""
     return record.index, record.seed, record.picks, record.delivered, record.termination, record.clutter
 
 
@@ -76,7 +76,7 @@ def test_a_record_keeps_the_facts_of_each_decision() -> None:
     assert record.config_hash == CONFIG.digest()
 
 
-def test_each_frame_is_judged_once_and_failures_are_blamed() -> None:
+def test_each_frame_is_recorded_once_and_failures_are_attributed() -> None:
     def make(config: EvaluationConfig) -> Cell:
         env = FakeEnv(parts=2)
         delivered = attempt(GraspOutcome.DELIVERED)
@@ -86,7 +86,7 @@ def test_each_frame_is_judged_once_and_failures_are_blamed() -> None:
     record = evaluate_bin(CONFIG, 3, cells=CellCache(make))
     assert [frame.frame_id for frame in record.frames] == [0, 1, 2, 3]  # a look after the abstention, none at the end
     assert [pick.frame_id for pick in record.picks] == [0, 1, 2, 3]
-    assert [pick.blame for pick in record.picks] == ["grasp", None, None, None]
+    assert [pick.failure_attribution for pick in record.picks] == ["grasp", None, None, None]
     assert [pick.candidate for pick in record.picks] == [0, None, 0, 0]
     candidate = record.candidate(record.picks[0])
     assert candidate is not None
@@ -95,7 +95,7 @@ def test_each_frame_is_judged_once_and_failures_are_blamed() -> None:
     assert record.frame(4) is None
 
 
-def test_two_decisions_on_one_frame_judge_it_once() -> None:
+def test_two_decisions_on_one_frame_record_it_once() -> None:
     def make(config: EvaluationConfig) -> Cell:
         env = FakeEnv(parts=2)
         env.look = lambda: None  # type: ignore[method-assign]
@@ -203,16 +203,16 @@ def test_finished_bins_are_not_computed_again(tmp_path: Path) -> None:
     assert len(made) == 1
 
 
-def test_what_was_found_is_told_and_fresh_computes_it_again(tmp_path: Path) -> None:
+def test_existing_records_are_reported_and_fresh_computes_them_again(tmp_path: Path) -> None:
     run_job(CONFIG, Job(out=tmp_path, bins=2), make_cell=dice_cell)
-    told: list[int] = []
+    reported: list[int] = []
     job = Job(out=tmp_path, bins=3)
-    run_job(CONFIG, job, make_cell=dice_cell, on_found=lambda found: told.append(len(found)))
-    assert told == [2]
+    run_job(CONFIG, job, make_cell=dice_cell, on_found=lambda found: reported.append(len(found)))
+    assert reported == [2]
     made: list[int] = []
     fresh = dataclasses.replace(job, fresh=True)
-    run_job(CONFIG, fresh, make_cell=counted(made), on_found=lambda found: told.append(len(found)))
-    assert (told, made) == ([2], [1])
+    run_job(CONFIG, fresh, make_cell=counted(made), on_found=lambda found: reported.append(len(found)))
+    assert (reported, made) == ([2], [1])
 
 
 def test_the_note_warns_of_other_code() -> None:
@@ -233,6 +233,18 @@ def test_a_damaged_record_is_computed_again(tmp_path: Path, damage: str, caplog:
     assert [outcome_of(r) for r in first] == [outcome_of(r) for r in second]
     assert load_record(path) == second[1]
     assert "bin 1 is computed again" in caplog.text
+
+
+def test_a_record_of_an_earlier_version_names_the_failure_attribution_blame(tmp_path: Path) -> None:
+    def make(config: EvaluationConfig) -> Cell:
+        env = FakeEnv(parts=2)
+        return Cell(env, ScriptPicker(env, attempt(GraspOutcome.MISSED), abstain(), abstain()))  # type: ignore[arg-type]
+
+    record = evaluate_bin(CONFIG, 0, cells=CellCache(make))
+    assert [pick.failure_attribution for pick in record.picks] == ["grasp", None, None]
+    path = save_record(record, tmp_path)
+    path.write_text(path.read_text().replace('"failure_attribution"', '"blame"'))
+    assert load_record(path) == record
 
 
 def test_a_record_with_an_unknown_word_is_refused(tmp_path: Path) -> None:
@@ -258,7 +270,7 @@ def test_another_configuration_in_the_folder_is_refused(tmp_path: Path) -> None:
         run_job(other, Job(out=tmp_path, bins=1), make_cell=dice_cell)
 
 
-def test_a_damaged_note_of_the_configuration_is_written_anew(tmp_path: Path) -> None:
+def test_a_damaged_file_of_the_configuration_is_written_anew(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text("{")
     run_job(CONFIG, Job(out=tmp_path, bins=1), make_cell=dice_cell)
     assert json.loads((tmp_path / "config.json").read_text())["hash"] == CONFIG.digest()
@@ -345,7 +357,7 @@ def test_the_digest_sees_the_part_files_contents(tmp_path: Path) -> None:
     assert config.digest() != one
 
 
-def test_nonsense_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_impossible_settings_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="seed must not be negative, got -1"):
         EvaluationConfig(seed=-1)
     with pytest.raises(ValueError, match=r"num_parts must be a rising pair from 1, got \(5, 4\)"):
@@ -361,7 +373,7 @@ def test_nonsense_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(ValueError, match=r"part must be one of .*tee.*, got 'teapot'"):
         EvaluationConfig(part="teapot").check()
     trimesh.creation.box((0.06, 0.04, 0.03)).export(tmp_path / "block.stl")
-    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))  # where a user's own weights would lie
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))  # a user's own weights would be there
     with pytest.raises(ValueError, match="perception='learned' cannot recognise 'block': there are no segmentation"):
         EvaluationConfig(part=str(tmp_path / "block.stl")).check()
     assert EvaluationConfig(part=str(tmp_path / "block.stl"), perception="oracle").check().model.name == "block"

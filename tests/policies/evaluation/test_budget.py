@@ -1,4 +1,4 @@
-"""What each stage of perception costs, worked by hand and as it is told."""
+"""What each stage of perception costs, worked by hand, and how it is printed."""
 
 import json
 from html.parser import HTMLParser
@@ -50,7 +50,7 @@ def budget_of(out: Path, picks: dict[Perception, list[list[PickResult]]] = PICKS
     return make_budget(records, modes, np.random.default_rng(0))
 
 
-def test_each_way_of_seeing_has_its_own_folder_and_the_same_bins(tmp_path: Path) -> None:
+def test_each_perception_has_its_own_folder_and_the_same_bins(tmp_path: Path) -> None:
     jobs = runs(tmp_path)
     assert list(jobs) == ["oracle", "gt_masks", "learned"]
     for mode, (config, job) in jobs.items():
@@ -68,7 +68,7 @@ def test_a_cost_is_the_difference_of_the_printed_numbers(tmp_path: Path) -> None
     assert mpph == pytest.approx({"pose": 150.0, "segmentation": 300.0, "both": 450.0})
 
 
-def test_the_interval_draws_each_bin_both_ways_at_once(tmp_path: Path) -> None:
+def test_the_interval_draws_each_bin_under_both_conditions(tmp_path: Path) -> None:
     # Of two bins every fourth draw is one of them twice: a third lost of 3 attempts in the first, all in the second.
     cost = budget_of(tmp_path).costs["segmentation"]["gsr"]
     assert (cost.low, cost.high) == pytest.approx((1 / 3, 1.0))
@@ -92,7 +92,7 @@ def test_other_bins_are_not_compared(tmp_path: Path) -> None:
         make_budget(records, modes, np.random.default_rng(0))
 
 
-def test_the_table_shows_the_three_ways_and_what_lies_between(tmp_path: Path) -> None:
+def test_the_table_shows_three_evaluations_and_their_differences(tmp_path: Path) -> None:
     table = budget_table(budget_of(tmp_path))
     rows = {line.split("  ")[0]: line.split() for line in table.splitlines() if line}
     assert rows["GSR"][1:] == ["100.0", "%", "75.0", "%", "25.0", "%"]
@@ -103,7 +103,7 @@ def test_the_table_shows_the_three_ways_and_what_lies_between(tmp_path: Path) ->
 
 
 class Links(HTMLParser):
-    """Keeps what a page links to."""
+    """Collects the links of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -114,7 +114,7 @@ class Links(HTMLParser):
         self.found += [value or "" for name, value in attrs if name == "href"]
 
 
-def test_the_page_links_to_each_way_of_seeing(tmp_path: Path) -> None:
+def test_the_page_links_to_each_evaluation(tmp_path: Path) -> None:
     write_budget_report(tmp_path / "budget.html", budget_of(tmp_path))
     text = (tmp_path / "budget.html").read_text()
     assert Links(text).found == [f"{mode}/report.html" for mode in MODES]
@@ -141,8 +141,10 @@ def test_a_budget_ends_in_numbers_pages_and_a_text(tmp_path: Path) -> None:
     text = conclude_budget(records, jobs, job)
     assert text.splitlines()[-2:] == [f"numbers   {tmp_path / 'budget.json'}", f"report    {tmp_path / 'budget.html'}"]
     values = json.loads((tmp_path / "budget.json").read_text())
-    assert values["costs"]["pose"]["gsr"] == {"value": 0.0, "low": 0.0, "high": 0.0}  # the dice see nothing
+    assert values["costs"]["pose"]["gsr"] == {"value": 0.0, "low": 0.0, "high": 0.0}  # the dice ignore perception
     assert list(values["modes"]) == list(MODES)
+    oracle = values["modes"]["oracle"]
+    assert oracle["failure_attribution"] == oracle["blame"]  # the previous name, for one version
     for mode in MODES:
         assert (tmp_path / mode / "report.html").exists()
         assert json.loads((tmp_path / mode / "results.json").read_text())["config"]["perception"] == mode

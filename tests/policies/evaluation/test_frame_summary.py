@@ -1,4 +1,4 @@
-"""Perception's numbers over bins."""
+"""Segments and candidates, summarised over bins."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from perception.metrics.intervals import wilson_interval
 from perception.metrics.matching import match_scene
 from perception.segmentation.scoring import truth_of
 from policies.evaluation.frame_record import CandidateRecord, FrameRecord, SegmentTable
-from policies.evaluation.frame_summary import SightSummary, over_bins, summarise_sight
+from policies.evaluation.frame_summary import FrameSummary, over_bins, summarise_frames
 from policies.evaluation.records import BinRecord
 from policies.grasping.outcomes import GraspOutcome
 from tests.policies.fake_cell import attempt, bin_result
@@ -22,11 +22,11 @@ def record(*frames: FrameRecord) -> BinRecord:
     return BinRecord.from_result(bin_result(attempt(GraspOutcome.DELIVERED)), [""], frames, **facts)
 
 
-def sum_up(*records: BinRecord) -> SightSummary:
-    return summarise_sight(records, np.random.default_rng(0))
+def summary_of(*records: BinRecord) -> FrameSummary:
+    return summarise_frames(records, np.random.default_rng(0))
 
 
-def tried(part: int, right: bool = True, found: int | None = None, mm: float = 1.0) -> CandidateRecord:
+def compared(part: int, right: bool = True, found: int | None = None, mm: float = 1.0) -> CandidateRecord:
     return CandidateRecord(
         part=part,
         score=0.9,
@@ -42,7 +42,7 @@ def frame(*candidates: CandidateRecord, fractions: tuple[float, ...] = (1.0, 1.0
 
 
 def segmented(rng: np.random.Generator, noise: float) -> tuple[FrameRecord, Any]:
-    """A frame of five parts whose groups are wrong in a share of the points, and its matches from the points."""
+    """Return a frame of five parts with a share of wrong points in its segments, and its matches from the points."""
     part_ids = rng.integers(-1, 5, 1200)
     labels = np.where(rng.random(1200) < noise, rng.integers(-1, 5, 1200), part_ids)
     fractions, instances = (0.05, 0.2, 0.5, 0.9, 1.0), instances_of(labels, rng.random(5))
@@ -54,7 +54,7 @@ def segmented(rng: np.random.Generator, noise: float) -> tuple[FrameRecord, Any]
 def test_ap_is_that_of_all_frames_of_all_bins_pooled() -> None:
     rng = np.random.default_rng(3)
     made = [segmented(rng, noise) for noise in (0.1, 0.3, 0.5, 0.6)]
-    summary = sum_up(record(made[0][0], made[1][0], made[2][0]), record(made[3][0]))
+    summary = summary_of(record(made[0][0], made[1][0], made[2][0]), record(made[3][0]))
     whole = ap_summary([matches for _, matches in made])
     assert 0.05 < whole.ap < 0.95
     assert summary.ap == pytest.approx({"ap": whole.ap, "ap50": whole.ap50, "ap75": whole.ap75})
@@ -65,17 +65,17 @@ def test_ap_is_that_of_all_frames_of_all_bins_pooled() -> None:
 def test_the_intervals_of_an_ap_draw_whole_bins() -> None:
     rng = np.random.default_rng(3)
     good, bad = segmented(rng, 0.05), segmented(rng, 0.6)
-    summary = sum_up(record(good[0], good[0], good[0]), record(bad[0], bad[0], bad[0]))
+    summary = summary_of(record(good[0], good[0], good[0]), record(bad[0], bad[0], bad[0]))
     ends = [ap_summary([matches]).ap for _, matches in (bad, good)]
     assert summary.intervals["ap"] == pytest.approx(ends)  # of two bins every fourth draw is one of them twice
-    alike = sum_up(*[record(good[0], bad[0])] * 3).intervals["ap"]
+    alike = summary_of(*[record(good[0], bad[0])] * 3).intervals["ap"]
     assert alike == pytest.approx([ap_summary([good[1], bad[1]]).ap] * 2)  # every bin alike, though frames are not
 
 
 def test_rates_of_candidates_and_parts() -> None:
-    first = frame(tried(0), tried(0, found=-1), tried(1, right=False))  # found, its duplicate, a wrong one
-    second = frame(tried(1), tried(-1, right=False), fractions=(0.9, 0.4))  # part 1 need not be found
-    summary = sum_up(record(first), record(second))
+    first = frame(compared(0), compared(0, found=-1), compared(1, right=False))  # found, its duplicate, a wrong one
+    second = frame(compared(1), compared(-1, right=False), fractions=(0.9, 0.4))  # part 1 need not be found
+    summary = summary_of(record(first), record(second))
     assert summary.counts == {
         "candidate_pose_accuracy": (3, 5),
         "candidate_precision": (2, 5),
@@ -85,10 +85,10 @@ def test_rates_of_candidates_and_parts() -> None:
 
 
 def test_the_interval_of_a_rate_draws_whole_bins_but_is_never_narrower_than_wilsons() -> None:
-    good, bad = frame(*[tried(0)] * 100), frame(*[tried(0, right=False)] * 100)
-    apart = sum_up(*[record(good)] * 5, *[record(bad)] * 5).intervals["candidate_pose_accuracy"]
-    alike = sum_up(*[record(good, bad)] * 10).intervals["candidate_pose_accuracy"]
-    perfect = sum_up(*[record(good)] * 10).intervals["candidate_pose_accuracy"]
+    good, bad = frame(*[compared(0)] * 100), frame(*[compared(0, right=False)] * 100)
+    apart = summary_of(*[record(good)] * 5, *[record(bad)] * 5).intervals["candidate_pose_accuracy"]
+    alike = summary_of(*[record(good, bad)] * 10).intervals["candidate_pose_accuracy"]
+    perfect = summary_of(*[record(good)] * 10).intervals["candidate_pose_accuracy"]
     assert alike == pytest.approx(wilson_interval(1000, 2000))
     assert perfect == wilson_interval(1000, 1000)
     assert apart is not None
@@ -96,27 +96,27 @@ def test_the_interval_of_a_rate_draws_whole_bins_but_is_never_narrower_than_wils
 
 
 def test_errors_are_medians_over_candidates_with_a_part() -> None:
-    far = frame(tried(0, mm=1.0), tried(1, mm=2.0), tried(-1, right=False), tried(1, right=False, mm=50.0))
-    assert sum_up(record(far)).errors == pytest.approx({"mm": 2.0, "deg": 4.0})
+    far = frame(compared(0, mm=1.0), compared(1, mm=2.0), compared(-1, right=False), compared(1, right=False, mm=50.0))
+    assert summary_of(record(far)).errors == pytest.approx({"mm": 2.0, "deg": 4.0})
 
 
 def test_stages_are_medians_over_frames() -> None:
     times = [frame(ms={"boundary": ms, "poses": 300.0}) for ms in (10.0, 20.0, 60.0)]
-    assert sum_up(record(*times), record(frame())).stages == {"boundary": 20.0, "poses": 300.0}
+    assert summary_of(record(*times), record(frame())).stages == {"boundary": 20.0, "poses": 300.0}
 
 
 def test_what_does_not_exist_is_none() -> None:
-    oracle = sum_up(record(frame(tried(0))))
+    oracle = summary_of(record(frame(compared(0))))
     assert oracle.ap == {"ap": None, "ap50": None, "ap75": None}
     assert oracle.rates["candidate_pose_accuracy"] == 1.0
     assert set(oracle.intervals.values()) == {None}  # a single bin says nothing about bins
-    nothing = sum_up(record())
+    nothing = summary_of(record())
     assert (set(nothing.rates.values()), set(nothing.errors.values()), nothing.frames) == ({None}, {None}, 0)
 
 
 def test_frames_without_a_part_to_find_have_no_ap() -> None:
     empty = frame(fractions=(), segments=SegmentTable(scores=(), points=()))
-    summary = sum_up(record(empty), record(empty))
+    summary = summary_of(record(empty), record(empty))
     assert (set(summary.ap.values()), summary.intervals["ap"]) == ({None}, None)
 
 

@@ -1,4 +1,4 @@
-"""What becomes of an evaluation's workers."""
+"""The worker processes of an evaluation."""
 
 import os
 import signal
@@ -19,14 +19,14 @@ def killed_cell(config: EvaluationConfig) -> Cell:
     return dice_cell(config)
 
 
-def test_a_killed_worker_is_said_in_plain_words(tmp_path: Path) -> None:
+def test_a_killed_worker_is_reported(tmp_path: Path) -> None:
     job = Job(out=tmp_path, bins=3, workers=2)
     with pytest.raises(BinError, match=r"^a worker was killed, perhaps for want of memory; try fewer workers$"):
         run_job(EvaluationConfig(num_parts=(6, 6)), job, make_cell=killed_cell)
     assert list(tmp_path.glob("bin_*.json")) == []
 
 
-def test_records_come_and_lie_on_disk_as_they_are_finished(tmp_path: Path) -> None:
+def test_each_record_is_on_disk_when_it_is_reported(tmp_path: Path) -> None:
     on_disk: list[bool] = []
 
     def look(record: BinRecord) -> None:

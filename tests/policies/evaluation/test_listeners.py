@@ -1,4 +1,4 @@
-"""Listeners follow a bin, and take nothing from its numbers."""
+"""Listeners follow a bin and change none of its numbers."""
 
 import dataclasses
 import time
@@ -38,7 +38,7 @@ def watched_cell(config: EvaluationConfig) -> Cell:
 
 
 class Log(BinListener):
-    """Notes what it is told, and names pictures."""
+    """Logs its calls and returns names of pictures."""
 
     def __init__(self, name: str, notes: list[str] | None = None) -> None:
         self.name, self.notes = name, [] if notes is None else notes
@@ -66,12 +66,12 @@ class Log(BinListener):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self.notes.append(f"{self.name} left{'' if error is None else ' with ' + type(error).__name__}")
+        self.notes.append(f"{self.name} exited{'' if error is None else ' with ' + type(error).__name__}")
 
 
 @dataclasses.dataclass(frozen=True)
 class FileListeners:
-    """Leaves a file for each bin that it makes listeners for."""
+    """Writes a file for each bin that it makes listeners for."""
 
     needed: tuple[int, ...] = ()
 
@@ -84,20 +84,20 @@ class FileListeners:
 
 
 def numbers(record: BinRecord) -> dict[str, Any]:
-    """All of a record but wall clock and pictures' names."""
+    """Return everything in a record except for wall clock and the pictures' names."""
     values = dataclasses.asdict(dataclasses.replace(record, wall=0.0, settle=0.0, render=0.0, before="", after=""))
     for pick in values["picks"]:
         pick["picture"] = ""
     return values
 
 
-def test_listeners_are_told_everything_in_order_and_their_names_come_into_the_record() -> None:
+def test_listeners_are_called_in_order_and_the_record_holds_their_pictures_names() -> None:
     notes: list[str] = []
     logs = [BinListener(), Log("a", notes), Log("b", notes)]
     record = evaluate_bin(CONFIG, 0, logs, cells=CellCache(watched_cell))
     events = ["settled on frame 0", *[f"{event}{k}" for k in range(3) for event in ("before", "after ")], "ended"]
     events = [event if "before" not in event else "before" for event in events]
-    assert notes == [f"{name} {event}" for event in events for name in "ab"] + ["b left", "a left"]
+    assert notes == [f"{name} {event}" for event in events for name in "ab"] + ["b exited", "a exited"]
     assert (record.before, record.after) == ("a_settled.jpg", "a_ended.jpg")
     assert [pick.picture for pick in record.picks] == ["", "a_1.webp", "a_2.webp"]
 
@@ -140,14 +140,14 @@ def test_the_time_of_listeners_is_left_out_of_the_wall_clock(monkeypatch: pytest
     assert record.wall == 0.0
 
 
-def test_listeners_are_left_with_the_exception_of_a_bin_that_fails() -> None:
+def test_listeners_exit_with_the_exception_of_a_bin_that_fails() -> None:
     def fail(result: object) -> None:
         raise FloatingPointError("the physics diverged")
 
     log = Log("a")
     with pytest.raises(BinError, match="the physics diverged"):
         evaluate_bin(CONFIG, 0, [log], fail, CellCache(watched_cell))
-    assert log.notes[-1] == "a left with FloatingPointError"
+    assert log.notes[-1] == "a exited with FloatingPointError"
     assert "a ended" not in log.notes
 
 

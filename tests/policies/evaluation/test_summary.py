@@ -1,5 +1,5 @@
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,9 +18,10 @@ from tests.policies.fake_cell import abstain, attempt, bin_result
 CONFIG = EvaluationConfig()
 DELIVERED, MISSED = GraspOutcome.DELIVERED, GraspOutcome.MISSED
 RATES = {"gsr", "dr", "mpph", "ap", "ap50", "ap75", "candidate_pose_accuracy", "intervals"}
-SIGHT = {"candidate_precision", "candidate_recall", "candidates", "pose_error", "blame", "frames", "perception_ms"}
+FRAMES = {"candidate_precision", "candidate_recall", "candidates", "pose_error", "frames", "perception_ms"}
+FAILURES = {"failure_attribution", "blame"}  # the second is the previous name, written for one version
 COUNTS = {"attempts", "successes", "parts_total", "delivered", "lost", "abstentions", "termination", "outcomes"}
-CONTRACT = RATES | COUNTS | SIGHT | {"time", "clutter", "camera_backend", "versions"}
+CONTRACT = RATES | COUNTS | FRAMES | FAILURES | {"time", "clutter", "camera_backend", "versions"}
 
 
 def record(index: int, *picks: PickResult, parts: int = 10, lost: int = 0) -> BinRecord:
@@ -34,8 +35,8 @@ def records() -> list[BinRecord]:
     return [first, record(1, attempt(DELIVERED), abstain(Abstention.IK_INFEASIBLE), parts=30)]
 
 
-def seen(*right: bool, overlap: float | None = None) -> FrameRecord:
-    """A frame with one candidate each, on as many parts."""
+def compared(*right: bool, overlap: float | None = None) -> FrameRecord:
+    """Return a frame with one candidate per part."""
     candidates = [
         CandidateRecord(part=k, score=0.9, right=good, found=k if good else -1, overlap=overlap)
         for k, good in enumerate(right)
@@ -43,12 +44,12 @@ def seen(*right: bool, overlap: float | None = None) -> FrameRecord:
     return FrameRecord(frame_id=-1, visible_fractions=(1.0,) * len(right), candidates=tuple(candidates))
 
 
-def sum_up(records: list[BinRecord]) -> Summary:
+def summary_of(records: list[BinRecord]) -> Summary:
     return summarise(records, CONFIG, np.random.default_rng(0))
 
 
 def test_rates_are_pooled_over_the_bins(records: list[BinRecord]) -> None:
-    summary = sum_up(records)
+    summary = summary_of(records)
     assert (summary.successes, summary.attempts, summary.delivered, summary.parts_total) == (3, 4, 3, 40)
     assert summary.gsr == 0.75
     assert summary.dr == 3 / 40
@@ -57,7 +58,7 @@ def test_rates_are_pooled_over_the_bins(records: list[BinRecord]) -> None:
 
 
 def test_picks_per_hour_follow_from_the_means_over_attempts(records: list[BinRecord]) -> None:
-    summary = sum_up(records)
+    summary = summary_of(records)
     motion = (3 * 5.25 + 2.0) / 4
     assert summary.time == pytest.approx({"sense": 0.5, "compute": 0.25, "motion": motion})
     assert summary.mpph == pytest.approx(3600 * 0.75 / (0.75 + motion))
@@ -67,45 +68,46 @@ def test_picks_per_hour_follow_from_the_means_over_attempts(records: list[BinRec
 
 
 def test_wall_clock_leaves_the_drop_out_of_an_attempt(records: list[BinRecord]) -> None:
-    assert sum_up(records).wall == {"attempt": 5.0, "bin": 12.0, "render_share": 0.25}
+    assert summary_of(records).wall == {"attempt": 5.0, "bin": 12.0, "render_share": 0.25}
 
 
-def test_every_cause_is_counted_the_absent_ones_too(records: list[BinRecord]) -> None:
-    summary = sum_up(records)
+def test_causes_that_do_not_occur_count_zero(records: list[BinRecord]) -> None:
+    summary = summary_of(records)
     assert summary.outcomes == {str(kind): 0 for kind in GraspOutcome} | {"delivered": 3, "missed": 1}
     assert summary.abstentions == {"no_candidate": 1, "no_clear_approach": 0, "ik_infeasible": 1}
     assert summary.termination == {"empty": 0, "2F": 0, "abstained": 2, "time": 0}
 
 
 def test_intervals_over_bins_resample_whole_bins(records: list[BinRecord]) -> None:
-    twins = sum_up([record(k, attempt(DELIVERED), attempt(MISSED)) for k in range(5)])
+    twins = summary_of([record(k, attempt(DELIVERED), attempt(MISSED)) for k in range(5)])
     assert twins.intervals["gsr_bins"] == (0.5, 0.5)  # every bin alike: bins carry no doubt, however few attempts
     assert twins.intervals["dr_bins"] == pytest.approx((0.1, 0.1))
-    apart = sum_up([record(k, *[attempt(DELIVERED if k % 2 else MISSED)] * 10) for k in range(10)])
+    apart = summary_of([record(k, *[attempt(DELIVERED if k % 2 else MISSED)] * 10) for k in range(10)])
     over_bins, wilson = apart.intervals["gsr_bins"], apart.intervals["gsr"]
     assert over_bins is not None
     assert wilson is not None
     assert over_bins[1] - over_bins[0] > 2 * (wilson[1] - wilson[0])  # 10 independent bins, not 100 attempts
-    assert sum_up(records[:1]).intervals["gsr_bins"] is None
+    assert summary_of(records[:1]).intervals["gsr_bins"] is None
     assert "resampling whole bins: GSR 50.0 to 50.0 %, DR 10.0 to 10.0 %" in result_table(twins)
 
 
-def test_lost_parts_are_added_up_and_told_from_those_left(records: list[BinRecord]) -> None:
-    summary = sum_up([*records, record(2, attempt(GraspOutcome.DOUBLE), lost=2)])
+def test_lost_parts_are_counted_apart_from_those_left(records: list[BinRecord]) -> None:
+    summary = summary_of([*records, record(2, attempt(GraspOutcome.DOUBLE), lost=2)])
     assert summary.lost == 2
     assert "parts         3 delivered, 2 lost, 45 left in the bin" in result_table(summary)
 
 
 def test_clutter_weighs_bins_by_their_parts(records: list[BinRecord]) -> None:
-    summary = sum_up(records)
+    summary = summary_of(records)
     assert summary.clutter["parts"] == 40
     assert summary.clutter["below_half"] == pytest.approx(0.5)
     assert summary.clutter["median"] == pytest.approx(0.5)
 
 
 def test_results_json_holds_the_contracts_keys(records: list[BinRecord]) -> None:
-    values = json.loads(json_text(asdict(sum_up(records))))
+    values = json.loads(json_text(summary_of(records).plain()))
     assert set(values) >= CONTRACT
+    assert values["failure_attribution"] == values["blame"]
     assert values["ap"] is None
     assert values["candidate_pose_accuracy"] is None
     assert values["versions"]["mujoco"]
@@ -113,27 +115,27 @@ def test_results_json_holds_the_contracts_keys(records: list[BinRecord]) -> None
 
 
 def test_without_attempts_rates_are_unknown_and_not_zero() -> None:
-    summary = sum_up([record(0, abstain(), abstain())])
+    summary = summary_of([record(0, abstain(), abstain())])
     assert (summary.gsr, summary.mpph, summary.time["motion"]) == (None, None, None)
     assert summary.intervals["gsr"] == (0.0, 1.0)
     assert "–" in result_table(summary)
-    json_text(asdict(summary))
+    json_text(summary.plain())
 
 
 def test_an_empty_bin_has_no_clutter() -> None:
-    summary = sum_up([record(0, parts=0)])
+    summary = summary_of([record(0, parts=0)])
     assert summary.clutter == {"median": None, "below_half": None, "above_nine_tenths": None, "parts": 0}
 
 
-def test_what_does_not_belong_together_is_not_summed_up(records: list[BinRecord]) -> None:
+def test_records_of_different_configurations_are_not_summarised(records: list[BinRecord]) -> None:
     with pytest.raises(ValueError, match=r"bins \[1\] are of another configuration"):
-        sum_up([records[0], replace(records[1], config_hash="?")])
+        summary_of([records[0], replace(records[1], config_hash="?")])
     with pytest.raises(ValueError, match="no bin was evaluated"):
-        sum_up([])
+        summary_of([])
 
 
 def test_the_table_shows_the_numbers(records: list[BinRecord]) -> None:
-    table = result_table(sum_up(records))
+    table = result_table(summary_of(records))
     for text in ("75.0 %", "3/4", "7.5 %", "3/40", "30.1 to 95.4 %", "ik_infeasible", "2 bins", "sensor good"):
         assert text in table
     assert "slipped" not in table
@@ -142,20 +144,20 @@ def test_the_table_shows_the_numbers(records: list[BinRecord]) -> None:
 
 def test_the_table_warns_of_bins_of_different_commits(records: list[BinRecord]) -> None:
     mixed = [replace(records[0], git_commit="aaa"), replace(records[1], git_commit="bbb")]
-    assert "NOTE  bins of 2 different commits: aaa, bbb" in result_table(sum_up(mixed))
+    assert "NOTE  bins of 2 different commits: aaa, bbb" in result_table(summary_of(mixed))
 
 
-def test_failed_attempts_are_counted_by_blame_and_shown_beside_what_was_seen() -> None:
+def test_failed_attempts_are_counted_by_stage_and_shown_beside_perception() -> None:
     picks = [attempt(MISSED), attempt(MISSED), attempt(DELIVERED), attempt(GraspOutcome.COLLIDED)]
     facts = {"config_hash": CONFIG.digest(), "index": 0, "wall": 9.0, "settle": 1.0, "render": 1.0}
-    first = BinRecord.from_result(bin_result(*picks), [""] * 4, [seen(True, False)], **facts)
-    assert [pick.blame for pick in first.picks] == ["grasp", "grasp", None, "physics"]
-    second = BinRecord.from_result(bin_result(attempt(MISSED)), [""], [seen(False, True, overlap=0.3)], **facts)
-    summary = sum_up([first, second])
-    assert summary.blame == {"segment": 1, "pose": 0, "grasp": 2, "physics": 1}
+    first = BinRecord.from_result(bin_result(*picks), [""] * 4, [compared(True, False)], **facts)
+    assert [pick.failure_attribution for pick in first.picks] == ["grasp", "grasp", None, "physics"]
+    second = BinRecord.from_result(bin_result(attempt(MISSED)), [""], [compared(False, True, overlap=0.3)], **facts)
+    summary = summary_of([first, second])
+    assert summary.failure_attribution == {"segment": 1, "pose": 0, "grasp": 2, "physics": 1}
     assert (summary.failures, summary.candidates, summary.candidate_pose_accuracy) == (4, 4, 0.5)
     table = result_table(summary)
-    assert "failed attempts by blame    segment" in table
+    assert "failed attempts by stage    segment" in table
     head = table.splitlines()[2:6]
     assert [head[0].split("  ")[0], "recognition" in head[0], "picking success" in head[0]] == [
         "segmentation AP",

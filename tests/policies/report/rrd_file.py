@@ -1,4 +1,4 @@
-"""What a recording holds, read back by Rerun's own reader."""
+"""The contents of a recording, read by Rerun's own reader."""
 
 from pathlib import Path
 from typing import Any

@@ -56,7 +56,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recorded]:
 
 
 def numbers(record: BinRecord) -> dict[str, Any]:
-    """All of a record but wall clock."""
+    """Return everything in a record except for wall clock."""
     values = dataclasses.asdict(dataclasses.replace(record, wall=0.0, settle=0.0, render=0.0))
     for pick in values["picks"]:
         pick["t_compute"] = 0.0
@@ -70,7 +70,7 @@ def array(values: Any) -> Any:
 # --- the whole file --------------------------------------------------------------------------------------------------
 
 
-def test_a_recording_has_the_cell_what_was_seen_and_what_was_done(recorded: Recorded) -> None:
+def test_a_recording_has_the_cell_the_frames_and_the_motion(recorded: Recorded) -> None:
     file = recorded.file
     assert file.timelines == {"time", "pick"}
     links = {path.split("/")[3] for path in file.entities if path.startswith("/world/robot/")}
@@ -81,7 +81,7 @@ def test_a_recording_has_the_cell_what_was_seen_and_what_was_done(recorded: Reco
     assert "/world/seen/segments" not in file.entities  # the oracle has none
 
 
-def test_nothing_but_the_whole_file_is_left(recorded: Recorded) -> None:
+def test_only_the_complete_file_remains(recorded: Recorded) -> None:
     assert [path.name for path in recorded.folder.iterdir()] == ["bin.rrd"]
 
 
@@ -122,7 +122,7 @@ def test_parts_lie_in_the_bin_and_leave_it_one_by_one(recorded: Recorded) -> Non
     assert set(counts) == {2, 1, 0}
 
 
-def test_the_jaw_closes_and_feels_the_part(recorded: Recorded) -> None:
+def test_the_jaw_closes_and_the_contact_force_rises(recorded: Recorded) -> None:
     closed = array([row for _, row in recorded.file.rows("/gripper/closed", "Scalars:scalars")])
     force = array([row for _, row in recorded.file.rows("/force", "Scalars:scalars")])
     assert closed.min() < 0.05
@@ -197,23 +197,23 @@ def test_abstentions_are_logged_as_such(recorded: Recorded, tmp_path: Path) -> N
     assert not any(row for _, row in file.rows("/world/grasp", "LineStrips3D:strips"))
 
 
-def test_several_may_watch_one_cell(recorded: Recorded) -> None:
-    class Eye:
-        looks = 0
+def test_one_cell_has_several_step_listeners(recorded: Recorded) -> None:
+    class Counter:
+        steps = 0
 
         def after_step(self, env: BinPickEnv) -> None:
-            self.looks += 1
+            self.steps += 1
 
-    env, eyes = recorded.env, (Eye(), Eye())
+    env, counters = recorded.env, (Counter(), Counter())
     rest = np.append(env.simulation.target, 0.0).astype(np.float32)
-    for eye in eyes:
-        env.watch(eye)
+    for counter in counters:
+        env.watch(counter)
         env.step(rest)
-    env.unwatch(eyes[0])
+    env.unwatch(counters[0])
     env.step(rest)
-    env.unwatch(eyes[1])
+    env.unwatch(counters[1])
     env.step(rest)
-    assert [eye.looks for eye in eyes] == [2, 2]
+    assert [counter.steps for counter in counters] == [2, 2]
 
 
 # --- what cannot be recorded -----------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""How things look in a recording: shapes, colours of segments."""
+"""Shapes, segments and points in a recording."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,14 +15,14 @@ from binpick_env.config import CameraConfig
 from binpick_env.evaluation.segmentation.pictures import part_colours
 from perception.geometry import make_transform, transform_points
 from policies.evaluation.watched_env import WatchedEnv
-from policies.report.recording_motion import drawn, pack
+from policies.report.recording_motion import instance_poses, pack
 from policies.report.recording_scene import CLOUD_POINTS, SceneLog, geom_mesh, is_whole, shaded_mesh
 from tests.policies.fake_cell import observed
 from tests.policies.report.rrd_file import RrdFile
 
 
-def seen_env(width: int = 320) -> WatchedEnv:
-    """A bin with one part, looked at."""
+def settled_env(width: int = 320) -> WatchedEnv:
+    """Return the cell with one settled part and its first frame."""
     camera = CameraConfig(width=width, height=width * 3 // 4)
     env = WatchedEnv("part_c", num_parts=1, perception="oracle", camera=camera, threads=1)
     env.reset(seed=3)
@@ -37,7 +37,7 @@ def write(env: WatchedEnv, path: Path) -> RrdFile:
 
 
 def corners(mesh: Any) -> Any:
-    """(T, 3, 3) of a Rerun mesh."""
+    """Return the (T, 3, 3) corners of a Rerun mesh."""
     vertices = np.array(mesh.vertex_positions.as_arrow_array().to_pylist(), np.float64)
     return vertices[np.array(mesh.triangle_indices.as_arrow_array().to_pylist())]
 
@@ -58,7 +58,7 @@ def test_a_box_keeps_its_edges_and_a_cylinder_is_smooth() -> None:
     np.testing.assert_allclose(corners(mesh), cylinder.triangles, atol=1e-7)
 
 
-def test_vertices_at_one_place_are_one() -> None:
+def test_vertices_at_the_same_position_are_merged() -> None:
     soup = trimesh.creation.icosphere(subdivisions=2)
     faces = np.arange(3 * len(soup.faces), dtype=np.int32).reshape(-1, 3)
     mesh = shaded_mesh(np.asarray(soup.triangles).reshape(-1, 3), faces, (1, 2, 3))
@@ -67,7 +67,7 @@ def test_vertices_at_one_place_are_one() -> None:
 
 
 def test_geoms_are_where_the_simulation_has_them() -> None:
-    env = seen_env()
+    env = settled_env()
     model, data = env.simulation.model, env.simulation.data
     some = [g for g in visible_geoms(model) if env.simulation.part_of_geom[g] < 0]
     for geom in (model.geom("bin/wall_x+").id, *some[2:10:3], some[20]):
@@ -88,20 +88,20 @@ def test_geoms_are_where_the_simulation_has_them() -> None:
     env.close()
 
 
-def test_what_is_not_there_has_no_size() -> None:
-    positions, quaternions, scales = drawn(pack(np.zeros((0, 4, 4))))
+def test_without_parts_one_instance_of_scale_zero_is_drawn() -> None:
+    positions, quaternions, scales = instance_poses(pack(np.zeros((0, 4, 4))))
     assert positions.shape == (1, 3)
     np.testing.assert_array_equal(quaternions, [[0, 0, 0, 1]])
     np.testing.assert_array_equal(scales, np.zeros((1, 3)))
     T = make_transform(np.diag([-1.0, 1, -1]), (1, 2, 3))[None]  # half a turn about y
-    positions, quaternions, scales = drawn(pack(T))
+    positions, quaternions, scales = instance_poses(pack(T))
     np.testing.assert_allclose(positions, [[1, 2, 3]])
     np.testing.assert_allclose(np.abs(quaternions), [[0, 1, 0, 0]], atol=1e-12)
     np.testing.assert_array_equal(scales, np.ones((1, 3)))
 
 
-def test_a_file_that_ends_early_is_not_passed_off_as_whole(tmp_path: Path) -> None:
-    env = seen_env()
+def test_a_truncated_file_is_not_complete(tmp_path: Path) -> None:
+    env = settled_env()
     path = tmp_path / "bin.rrd"
     write(env, path)
     assert is_whole(path)
@@ -117,13 +117,13 @@ def test_a_file_that_ends_early_is_not_passed_off_as_whole(tmp_path: Path) -> No
     env.close()
 
 
-def test_boundary_points_have_the_colours_of_their_groups(tmp_path: Path) -> None:
-    env = seen_env()
-    told = observed(env.labelled_capture, [list(range(50)), list(range(60, 100))], env.candidates, of=[0])
+def test_boundary_points_have_the_colours_of_their_segments(tmp_path: Path) -> None:
+    env = settled_env()
+    observation = observed(env.labelled_capture, [list(range(50)), list(range(60, 100))], env.candidates, of=[0])
     points_cam = np.column_stack([np.linspace(-0.1, 0.1, 320), np.zeros(320), np.full(320, 0.8)])
-    assert told.perception is not None
-    boundary = replace(told.perception.boundary, points_cam=points_cam)
-    env.observed = replace(told, perception=replace(told.perception, boundary=boundary))
+    assert observation.perception is not None
+    boundary = replace(observation.perception.boundary, points_cam=points_cam)
+    env.observed = replace(observation, perception=replace(observation.perception, boundary=boundary))
     file = write(env, tmp_path / "bin.rrd")
     (_, colours), (_, points) = (
         file.rows("/world/seen/segments", f"Points3D:{name}")[0] for name in ("colors", "positions")
@@ -140,7 +140,7 @@ def test_boundary_points_have_the_colours_of_their_groups(tmp_path: Path) -> Non
 
 
 def test_a_cloud_is_thinned_and_a_frame_without_depth_has_none(tmp_path: Path) -> None:
-    env = seen_env(width=640)
+    env = settled_env(width=640)
     assert env.frame.valid.sum() > 2 * CLOUD_POINTS
     (_, points) = write(env, tmp_path / "full.rrd").rows("/world/seen/cloud", "Points3D:positions")[0]
     assert CLOUD_POINTS / 4 < len(points) <= CLOUD_POINTS

@@ -10,7 +10,7 @@ import pytest
 from binpick_env.jobs.report_style import tile
 from binpick_env.observation.observed_candidates import ObservedCandidates
 from policies.evaluation.config import EvaluationConfig
-from policies.evaluation.frame_record import FrameRecord, judge_frame
+from policies.evaluation.frame_record import FrameRecord, record_frame
 from policies.evaluation.records import BinRecord
 from policies.evaluation.summary import summarise
 from policies.grasping.outcomes import GraspOutcome, PickResult
@@ -24,7 +24,7 @@ _VOID = {"meta", "img", "br"}
 
 
 class Page(HTMLParser):
-    """Fails on a tag that closes nothing; keeps ids, links and pictures. HTMLParser is only to be had so."""
+    """Collects ids, links and pictures; fails on a closing tag without its opening tag."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -48,9 +48,9 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
-def seen() -> FrameRecord:
+def compared() -> FrameRecord:
     view = labelled_capture(np.array([1.0, 1.0]))
-    return judge_frame(-1, view, ObservedCandidates(candidates=[candidate(view, 1)]))
+    return record_frame(-1, view, ObservedCandidates(candidates=[candidate(view, 1)]))
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def report(tmp_path: Path) -> Callable[..., str]:
     def write(*picks: PickResult, pictures: bool = True, **facts: str) -> str:
         names = [f"bin 0 pick {k}.webp" if pictures else "" for k in range(len(picks))]
         common = {"config_hash": CONFIG.digest(), "index": 0, "wall": 9.0, "settle": 1.0, "render": 1.0}
-        records = [BinRecord.from_result(bin_result(*picks, parts=100), names, [seen()], **common, **facts)]
+        records = [BinRecord.from_result(bin_result(*picks, parts=100), names, [compared()], **common, **facts)]
         summary = summarise(records, CONFIG, np.random.default_rng(0))
         write_report(tmp_path / "report.html", summary, records, tmp_path / "pictures")
         return (tmp_path / "report.html").read_text()
@@ -76,15 +76,15 @@ def test_the_page_shows_numbers_attempts_and_failures(report: Callable[..., str]
     text = report(attempt(DELIVERED), attempt(MISSED), abstain())
     for part in ("50.0 %", "1 of 2 attempts", "3 decisions", "30.0", "no candidate", "odd &lt;&amp;&gt; name.stl"):
         assert part in text
-    for part in ("recognition", "blame: grasp", "part 1, score 0.90, off by 0.0 mm, 0.0°", "1 candidates"):
+    for part in ("recognition", "failed at grasp", "part 1, score 0.90, off by 0.0 mm, 0.0°", "1 candidates"):
         assert part in text
 
 
-def test_every_pick_is_reachable_failures_first(report: Callable[..., str]) -> None:
+def test_every_decision_has_a_picture_failures_first(report: Callable[..., str]) -> None:
     page = Page(report(*[attempt(DELIVERED)] * 70, abstain(), attempt(MISSED), attempt(GraspOutcome.LEFT_BIN)))
     kinds = ["is-missed", "is-left_bin", "is-no_candidate", *["is-delivered"] * 70]
     assert [classes.split()[0] for classes in page.figures] == kinds
-    assert page.figures[1].split() == ["is-left_bin", "is-failed", "is-blame-physics"]
+    assert page.figures[1].split() == ["is-left_bin", "is-failed", "is-failed-at-physics"]
     names = [unquote(source) for source in page.pictures]
     assert names[:3] == [f"pictures/bin 0 pick {k}.webp" for k in (71, 72, 70)]
     assert len(set(names)) == 73
@@ -96,7 +96,7 @@ def test_every_link_has_its_target_and_every_aggregate_its_link(report: Callable
     assert len(page.ids) == len(set(page.ids))
     assert {link.removeprefix("#") for link in page.links} <= set(page.ids)
     assert {f"#bin-0-pick-{k}" for k in range(4)} <= set(page.links)
-    for kind in ("delivered", "missed", "double", "failed", "no_candidate", "blame-grasp", "blame-physics"):
+    for kind in ("delivered", "missed", "double", "failed", "no_candidate", "failed-at-grasp", "failed-at-physics"):
         assert f"#only-{kind}" in page.links
         # All others are hidden, and one at least is not.
         assert f"#only-{kind}:target ~ .picks > figure:not(.is-{kind}) {{ display: none; }}" in text
@@ -106,18 +106,18 @@ def test_every_link_has_its_target_and_every_aggregate_its_link(report: Callable
     assert targets < text.index("<div class='grid gallery picks'>")  # where the general sibling selector looks
 
 
-def test_the_page_stands_without_pictures_and_without_attempts(report: Callable[..., str]) -> None:
+def test_the_page_is_complete_without_pictures_and_without_attempts(report: Callable[..., str]) -> None:
     assert Page(report(attempt(MISSED), pictures=False)).pictures == []
     text = report(abstain(), abstain())
     assert Page(text).open == []
     assert "0 of 0 attempts" in text
 
 
-def test_a_missing_view_of_the_bin_is_said(report: Callable[..., str]) -> None:
+def test_a_missing_view_of_the_bin_is_noted(report: Callable[..., str]) -> None:
     assert report(attempt(MISSED), before="a.jpg", after="b.jpg").count("no picture") == 2
 
 
-def test_pictures_are_found_from_where_the_page_lies(tmp_path: Path) -> None:
+def test_paths_of_pictures_are_relative_to_the_page(tmp_path: Path) -> None:
     assert relative_folder(tmp_path / "a" / "b", tmp_path / "a" / "r.html") == "b"
     assert relative_folder(tmp_path / "a", tmp_path / "a" / "r.html") == "."
     assert relative_folder(tmp_path / "a", tmp_path / "b" / "r.html") == "../a"
