@@ -1,6 +1,7 @@
 """``BinPick-v0``: a robot cell that empties a bin."""
 
 import time
+from dataclasses import replace
 from typing import Any, Literal, cast
 
 import gymnasium as gym
@@ -9,40 +10,33 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from binpick_env.camera.depth_camera import Capture, DepthCamera
+from binpick_env.camera.depth_camera import DepthCamera
 from binpick_env.camera.shading import Light
-from binpick_env.candidates import FEATURES, MAX_CANDIDATES, PoseCandidate, pad_candidates
+from binpick_env.candidates import MAX_CANDIDATES, pad_candidates
 from binpick_env.cell.delivery import Delivery, DeliveryEvent, DeliveryJudge
 from binpick_env.cell.render import CellRenderer
 from binpick_env.cell.robot import HOME
 from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
-from binpick_env.cell.snapshot import Snapshot
 from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorPreset
+from binpick_env.env_spaces import Observation, ObsMode, action_limits, observation_boxes, observe
+from binpick_env.episode import EpisodeProperties, EpisodeState, FrameState, Snapshot
 from binpick_env.observation.factory import make_perceiver
 from binpick_env.observation.labelled_capture import LabelledCapture
-from binpick_env.observation.observed_candidates import ObservedCandidates
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
 from binpick_env.options import resolve_cell
 from binpick_env.parts.part import Part, resolve_part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
-from perception.frame import Frame, Workspace
-from perception.geometry import Floats, quat_from_matrix
+from perception.frame import Workspace
+from perception.geometry import Floats
 
-Observation = dict[str, NDArray[Any]]
 MAX_EPISODE_STEPS = 12_000
-_NO_RESET = "there is no frame before the first reset()"
-# What an episode has beside physics, judge, random numbers and events; nothing changes it in place.
-_EPISODE = (
-    *("capture", "labelled_capture", "observed", "candidates", "_candidate_arrays", "render_time", "perception_time"),
-    *("_frame_id", "_frame_time", "_away", "_steps", "total", "delivered", "_np_random_seed", "_hand_eye"),
-)
-HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home that counts as back, and as having left [rad]
+HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home at which the arm is back, or has left [rad]
 
 
-class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
+class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], EzPickle):
     """A UR5e with a parallel jaw picks identical parts out of a bin into a tray, 25 actions a second.
 
     ## Action space
@@ -62,17 +56,17 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `joint_vel` | (6,) | [rad/s] |
     | `gripper` | (1,) | 0 open to 1 closed, measured |
     | `tcp_pose` | (7,) | tool centre point in the world, xyz [m] and wxyz |
-    | `frame_age` | (1,) | since the frame behind the candidates [s] |
-    | `candidates` | (32, 14) | seen parts (`binpick_env.candidates.FEATURES`), zero-padded |
+    | `frame_age` | (1,) | time since the frame behind the candidates was taken [s] |
+    | `candidates` | (32, 14) | features of the pose candidates (`binpick_env.candidates.FEATURES`), zero-padded |
     | `candidate_mask` | (32,) int8 | 1 for rows that hold a candidate |
     | `image`, `depth` | (H, W, 1) uint8 and (H, W, 1) float32 [m] | the last frame, with `obs_mode="rgbd"` only |
 
-    A frame is taken at reset and whenever the arm is back in its home zone, out of the camera's sight, after having
+    A frame is taken at reset, and whenever the arm is back in its home zone, out of the camera's view, after having
     left it; `info["frame_id"]` rises with each. `env.unwrapped.look()` takes another, with fresh sensor noise.
 
     ## Reward
     +1 for each part delivered: released over the tray, at rest in it, and the only part that entered since the gripper
-    last opened. Judged parts are parked out of the tray.
+    last opened. Parts are taken out of the tray once they are judged.
 
     ## Starting state
     The arm at home with the gripper open; `num_parts` parts dropped in random attitudes, settled and asleep.
@@ -84,7 +78,8 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     Flat scalars: `success` and `is_success` (every part was delivered), `delivered`, `remaining`, `total` (parts),
     `frame_id`, `last_event` (how a part left play in this step, a `Delivery`, or empty), `time` (simulated, [s]).
     Wall clock is kept out of it, so that two copies stay equal: see the attributes `render_time` and `perception_time`.
-    The attribute `sighting` has the segments and poses behind the candidates, `exposure` the frame and its truth.
+    The attribute `observed` has the segments and poses behind the candidates, `labelled_capture` the frame and its
+    ground truth.
 
     ## Arguments
     | name | default | meaning |
@@ -104,10 +99,10 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `height` | `None` | height of the image [px]; 960 unless given |
     | `hand_eye_mm` | `None` | standard deviation per axis of the error of the camera's reported position [mm]; 0 unless given |
     | `camera` | `None` | a `CameraConfig`, in place of the four options before |
-    | `pose_noise` | `None` | the oracle's: a `PoseNoise`, a `PerceptionNoise`, or `"learned"`: errors such as the learned perceiver's of this part and sensor |
+    | `pose_noise` | `None` | errors of the oracle's poses: a `PoseNoise`, a `PerceptionNoise`, or `"learned"` for those of the learned perceiver on this part and sensor |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
     | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts, camera, in place of the options `bin` to `hand_eye_mm` |
-    | `threads` | `None` | threads of the ray caster, and of torch and OpenCV in perception; all cores unless given |
+    | `threads` | `None` | number of threads of the ray caster, and of torch and OpenCV in perception; all cores unless given |
     | `render_mode` | `None` | `"rgb_array"`, `"depth_array"` (the camera's view) or `"human"` (MuJoCo's viewer) |
 
     ## Versions
@@ -127,7 +122,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         sensor: SensorPreset = "good",
         camera: CameraConfig | None = None,
         pose_noise: PoseNoise | PerceptionNoise | Literal["learned"] | None = None,
-        obs_mode: Literal["state", "rgbd"] = "state",
+        obs_mode: ObsMode = "state",
         config: CellConfig | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
@@ -170,35 +165,29 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             density=density,
             **cell,
         )
-        low, high = num_parts if isinstance(num_parts, tuple | list) else (int(num_parts), int(num_parts))
-        if not 1 <= low <= high:
-            raise ValueError(f"num_parts must be a positive number or a rising pair, got {num_parts}")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}")
         if obs_mode not in ("state", "rgbd"):
             raise ValueError(f"obs_mode must be 'state' or 'rgbd', got {obs_mode!r}")
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
+        self._num_parts = _checked_range(num_parts)
         self.config = resolve_cell(config, camera, **cell)
         self.part = resolve_part(part, unit, symmetry, density)
         self.workspace: Workspace = self.config.bin.workspace()
-        if isinstance(pose_noise, str) and pose_noise != "learned":
-            raise ValueError(f"pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got {pose_noise!r}")
-        noise = PerceptionNoise.for_part(self.part.model.name, sensor) if isinstance(pose_noise, str) else pose_noise
+        noise = _resolved_noise(pose_noise, self.part, sensor)
         self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads)
-        self.render_mode = render_mode
-        self.simulation = Simulation(self.config, self.part, high)
-        self._num_parts = (low, high)
-        self._sensor = sensor
-        self._obs_mode = obs_mode
+        self.simulation = Simulation(self.config, self.part, self._num_parts[1])
         geoms = self.simulation.part_of_geom
         self.camera = DepthCamera(self.simulation.model, self.config.camera, self.workspace, geoms, threads=threads)
-        self.light: Light | None = None  # of the grey image, the camera's own if None
+        self._sensor = sensor
+        self.light: Light | None = None  # lighting of the grey image; the camera's own if None
+        self.render_mode = render_mode
         self._renderer = CellRenderer(self.simulation)
-        self.capture: Capture | None = None
-        self._observed = self._observation_space()
-        self.observation_space = cast(spaces.Space[Observation], self._observed)
-        self._low, self._high = self._action_limits()
+        self._obs_mode = obs_mode
+        self._boxes = observation_boxes(obs_mode, self.config.camera)
+        self.observation_space = cast(spaces.Space[Observation], spaces.Dict(dict(self._boxes)))
+        self._low, self._high = action_limits(self.simulation.model)
         self.action_space = spaces.Box(self._low.astype(np.float32), self._high.astype(np.float32), dtype=np.float32)
 
     # --- Gymnasium -------------------------------------------------------------------------------------------------
@@ -214,16 +203,10 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         drop_and_settle(self.simulation, count, self.np_random)
         self.simulation.data.time = 0.0
         self._judge = DeliveryJudge(self.simulation, CONTROL_PERIOD)
-        self.events: list[DeliveryEvent] = []
-        self.total = count
-        self.delivered = 0
-        self._steps = 0
-        self._frame_id = -1
-        self._away = False
         spread = self.config.camera.hand_eye
-        self._hand_eye = self.np_random.normal(scale=spread, size=3) if spread > 0 else np.zeros(3)
-        self._take_frame()
-        return self._observe(), self._info([])
+        hand_eye = self.np_random.normal(scale=spread, size=3) if spread > 0 else np.zeros(3)
+        self._episode = EpisodeState(total=count, hand_eye=hand_eye, frame=self._take_frame(hand_eye, number=0))
+        return self._observation(), self._info([])
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance by 0.04 s towards the targets of ``action``."""
@@ -232,7 +215,7 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._watch_home()
         if self.render_mode == "human":
             self._renderer.show()
-        return self._observe(), reward, self.remaining == 0, False, self._info(events)
+        return self._observation(), reward, self.remaining == 0, False, self._info(events)
 
     def render(self) -> NDArray[Any] | None:
         """Return a picture of the cell (`rgb_array`) or the camera's depth [m] (`depth_array`)."""
@@ -251,25 +234,13 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     @property
     def remaining(self) -> int:
-        """Number of parts in play: in the bin, in the gripper, in the tray but not judged yet."""
+        """Number of parts in play: in the bin, in the gripper, or in the tray and not judged yet."""
         return int(self.simulation.in_play.sum())
-
-    @property
-    def frame(self) -> Frame:
-        """The last frame."""
-        if self.capture is None:
-            raise RuntimeError(_NO_RESET)
-        return self.capture.frame
-
-    @property
-    def frame_id(self) -> int:
-        """Number of frames taken in this episode, minus one."""
-        return self._frame_id
 
     @property
     def truncated(self) -> bool:
         """Whether the episode has used up the steps that the registration allows; the wrapper truncates then."""
-        return self._steps >= MAX_EPISODE_STEPS
+        return self.episode.steps >= MAX_EPISODE_STEPS
 
     def unjudged(self) -> frozenset[int]:
         """Return the parts that are out of the bin, held by nothing, and not judged yet."""
@@ -278,125 +249,111 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     def advance(self, action: NDArray[np.float32]) -> list[DeliveryEvent]:
         """Advance as :meth:`step` does, but take no frame and observe nothing; return what left play.
 
-        For those who decide on frames alone: they call :meth:`look` when the arm is back.
+        For callers that decide on frames alone: they call :meth:`look` when the arm is back.
         """
-        self._require_reset()
+        episode = self.episode
         if np.shape(action) != (7,) or not np.all(np.isfinite(action)):
             raise ValueError(f"action must be (7,) and finite, got {action}")
         targets = np.clip(np.asarray(action, dtype=np.float64), self._low, self._high)
         self.simulation.step(targets[:6], float(targets[6]))
-        self._steps += 1
         events = self._judge.update(float(targets[6]))
-        self.events.extend(events)
-        self.delivered += sum(event.kind is Delivery.DELIVERED for event in events)
+        self._episode = replace(episode, steps=episode.steps + 1, events=(*episode.events, *events))
         return events
 
     def skip(self, steps: int) -> None:
-        """Count control steps that somebody else brought the arm through; nothing else moves in that time."""
+        """Let the time of control steps pass in which the caller has moved the arm itself and nothing else moves."""
         if steps < 0:
             raise ValueError(f"steps must not be negative, got {steps}")
-        self._steps += steps
+        self._episode = replace(self.episode, steps=self.episode.steps + steps)
         self.simulation.data.time += steps * CONTROL_PERIOD
 
     def look(self) -> Observation:
         """Take another frame now, with fresh sensor noise, and return the observation."""
-        self._require_reset()
-        self._take_frame()
-        return self._observe()
+        episode = self.episode
+        self._episode = replace(episode, frame=self._take_frame(episode.hand_eye, episode.frame.number + 1))
+        return self._observation()
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the cell, its last frame and its random numbers included, to go back to.
+        """Return the state of the cell for :meth:`restore`, with its last frame and its random numbers.
 
-        Light, sensor and the camera's true place are the cell's own, and stay as they are.
+        Light, sensor and the camera's true position are no part of it.
         """
-        self._require_reset()
+        episode = self.episode
         return Snapshot(
             simulation=self.simulation.snapshot(),
             judge=self._judge.state(),
             random=dict(self.np_random.bit_generator.state),
-            events=tuple(self.events),
-            episode={name: getattr(self, name) for name in _EPISODE},
+            seed=self._np_random_seed,
+            episode=episode,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to a state of this cell, or of another one of the same part, number of parts and settings.
+        """Go back to a state of this cell, or of another one with the same part, number of parts and settings.
 
-        The same actions then bring the same results, bit by bit, given the same perception and sensor.
+        The same actions then have the same results, bit by bit, given the same perception and sensor.
 
         Raises:
-            ValueError: It is of another cell; nothing has changed then.
+            ValueError: The snapshot is of another cell; nothing has changed then.
         """
         self.simulation.restore(snapshot.simulation)
         self._judge = DeliveryJudge(self.simulation, CONTROL_PERIOD)
         self._judge.restore(snapshot.judge)
         self.np_random.bit_generator.state = snapshot.random
-        self.events = list(snapshot.events)
-        for name, value in snapshot.episode.items():
-            setattr(self, name, value)
+        self._np_random_seed = snapshot.seed
+        self._episode = snapshot.episode
 
     # --- inside ----------------------------------------------------------------------------------------------------
 
-    def _require_reset(self) -> None:
-        if self.capture is None:
-            raise RuntimeError(_NO_RESET)
-
-    def _take_frame(self) -> None:
+    def _take_frame(self, hand_eye: Floats, number: int) -> FrameState:
+        """Take a frame from a camera whose reported position is off by (3,) ``hand_eye`` [m], and perceive it."""
         simulation = self.simulation
         simulation.refresh()
         started = time.perf_counter()
-        self.camera.displace(self._hand_eye)
-        self.capture = self.camera.capture(simulation.data, self.np_random, self._sensor, self.light)
+        self.camera.displace(hand_eye)
+        capture = self.camera.capture(simulation.data, self.np_random, self._sensor, self.light)
         poses = simulation.part_poses()
-        fractions = visible_fractions(self.capture, self.part.model.mesh, poses) * simulation.in_play
-        self.labelled_capture = LabelledCapture(
-            capture=self.capture,
+        labelled = LabelledCapture(
+            capture=capture,
             workspace=self.workspace,
             part=self.part.model,
             T_world_parts=poses,
-            visible_fractions=fractions,
-            hand_eye=self._hand_eye,
+            visible_fractions=visible_fractions(capture, self.part.model.mesh, poses) * simulation.in_play,
+            hand_eye=hand_eye,
         )
         rendered = time.perf_counter()
-        self.observed: ObservedCandidates = self._perceiver.perceive(self.labelled_capture, self.np_random)
-        self.candidates: list[PoseCandidate] = self.observed.candidates[:MAX_CANDIDATES]
-        self.render_time = rendered - started
-        self.perception_time = time.perf_counter() - rendered
-        self._candidate_arrays = pad_candidates(self.candidates, self.workspace)
-        self._frame_id += 1
-        self._frame_time = simulation.time
+        observed = self._perceiver.perceive(labelled, self.np_random)
+        perceived = time.perf_counter()
+        candidates = observed.candidates[:MAX_CANDIDATES]
+        features, mask = pad_candidates(candidates, self.workspace)
+        return FrameState(
+            labelled_capture=labelled,
+            observed=observed,
+            candidates=candidates,
+            features=features,
+            mask=mask,
+            number=number,
+            time=simulation.time,
+            render_time=rendered - started,
+            perception_time=perceived - rendered,
+        )
 
     def _watch_home(self) -> None:
+        """Take a frame when the arm is back home after having left."""
+        episode = self.episode
         distance = float(np.max(np.abs(self.simulation.joint_positions - HOME)))
         if distance > AWAY:
-            self._away = True
-        elif distance < HOME_ZONE and self._away:
-            self._away = False
-            self._take_frame()
+            self._episode = replace(episode, away=True)
+        elif distance < HOME_ZONE and episode.away:
+            frame = self._take_frame(episode.hand_eye, episode.frame.number + 1)
+            self._episode = replace(episode, away=False, frame=frame)
 
-    def _observe(self) -> Observation:
-        simulation = self.simulation
-        T_world_tcp: Floats = simulation.T_world_tcp
-        tcp_pose = np.concatenate([T_world_tcp[:3, 3], quat_from_matrix(T_world_tcp[:3, :3])])
-        rows, mask = self._candidate_arrays
-        values: Observation = {
-            "joint_pos": simulation.joint_positions,
-            "joint_vel": simulation.joint_velocities,
-            "gripper": np.array([simulation.gripper_position]),
-            "tcp_pose": tcp_pose,
-            "frame_age": np.array([simulation.time - self._frame_time]),
-            "candidates": rows.copy(),
-            "candidate_mask": mask.copy(),
-        }
-        if self._obs_mode == "rgbd":
-            values["image"] = self.frame.grey[..., None].copy()
-            values["depth"] = self.frame.depth[..., None].copy()
-        boxes = {k: box for k, box in self._observed.items() if isinstance(box, spaces.Box)}
-        return {k: np.clip(v, boxes[k].low, boxes[k].high).astype(boxes[k].dtype) for k, v in values.items()}
+    def _observation(self) -> Observation:
+        return observe(self.simulation, self.episode.frame, self._boxes)
 
     def _info(self, events: list[DeliveryEvent]) -> dict[str, Any]:
         success = self.delivered == self.total
         return {
-            "frame_id": self._frame_id,
+            "frame_id": self.frame_id,
             "delivered": self.delivered,
             "remaining": self.remaining,
             "total": self.total,
@@ -406,25 +363,21 @@ class BinPickEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             "is_success": success,
         }
 
-    def _action_limits(self) -> tuple[Floats, Floats]:
-        limits = self.simulation.model.actuator_ctrlrange[:6]
-        return np.append(limits[:, 0], 0.0), np.append(limits[:, 1], 1.0)
 
-    def _observation_space(self) -> spaces.Dict:
-        def box(low: float, high: float, *shape: int, dtype: type = np.float32) -> spaces.Box:
-            return spaces.Box(low, high, shape=shape, dtype=dtype)
+def _checked_range(num_parts: int | tuple[int, int]) -> tuple[int, int]:
+    """Return the smallest and the largest number of parts."""
+    low, high = num_parts if isinstance(num_parts, tuple | list) else (int(num_parts), int(num_parts))
+    if not 1 <= low <= high:
+        raise ValueError(f"num_parts must be a positive number or a rising pair, got {num_parts}")
+    return low, high
 
-        entries: dict[str, spaces.Space[Any]] = {
-            "joint_pos": box(-7.0, 7.0, 6),
-            "joint_vel": box(-20.0, 20.0, 6),
-            "gripper": box(0.0, 1.0, 1),
-            "tcp_pose": box(-3.0, 3.0, 7),
-            "frame_age": box(0.0, 1e6, 1),
-            "candidates": box(-10.0, 10.0, MAX_CANDIDATES, len(FEATURES)),
-            "candidate_mask": box(0, 1, MAX_CANDIDATES, dtype=np.int8),
-        }
-        if self._obs_mode == "rgbd":
-            height, width = self.config.camera.height, self.config.camera.width
-            entries["image"] = box(0, 255, height, width, 1, dtype=np.uint8)
-            entries["depth"] = box(0.0, 10.0, height, width, 1)
-        return spaces.Dict(entries)
+
+def _resolved_noise(
+    noise: PoseNoise | PerceptionNoise | str | None, part: Part, sensor: str
+) -> PoseNoise | PerceptionNoise | None:
+    """Return the oracle's errors; ``"learned"`` stands for those of the learned perceiver on this part and sensor."""
+    if not isinstance(noise, str):
+        return noise
+    if noise != "learned":
+        raise ValueError(f"pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got {noise!r}")
+    return PerceptionNoise.for_part(part.model.name, sensor)

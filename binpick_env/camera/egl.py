@@ -4,6 +4,7 @@ import atexit
 import copy
 import importlib
 import os
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,6 +18,29 @@ NEAR_CLIP, FAR_CLIP = 0.05, 5.0  # clipping planes [m]; the depth buffer is hype
 _GL_FORWARD, _GL_UP = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
 
 _owner: "EglRenderer | None" = None  # whose context this process holds; a second one corrupts the first
+
+
+class NearPlane(NamedTuple):
+    """What the image covers of the near clipping plane; x points right and y up from the optical axis [m]."""
+
+    centre: float  # x of its middle
+    half_width: float
+    bottom: float  # y of its lower edge
+    top: float  # y of its upper edge
+
+
+def near_plane(view: View) -> NearPlane:
+    """Return what the image of a pinhole camera covers of the near clipping plane.
+
+    Pixel i spans i - 0.5 to i + 0.5, as in ``geometry.camera_matrix``, so the image spans -0.5 to width - 0.5.
+    """
+    fx, fy, cx, cy = view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]
+    return NearPlane(
+        centre=float(NEAR_CLIP * ((view.width - 1) / 2 - cx) / fx),
+        half_width=float(NEAR_CLIP * view.width / 2 / fx),
+        bottom=float(-NEAR_CLIP * (view.height - 0.5 - cy) / fy),
+        top=float(NEAR_CLIP * (cy + 0.5) / fy),
+    )
 
 
 class EglRenderer:
@@ -79,17 +103,16 @@ class EglRenderer:
             self._scene.flags[flag] = flag in (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR)
 
     def _aim(self, view: View, T_world_cam: Floats) -> None:
-        """Point the scene's cameras; pixel i spans i - 0.5 to i + 0.5, as in ``geometry.camera_matrix``."""
+        """Set pose and frustum of the scene's cameras; GL renders the same view for both eyes."""
+        frustum = near_plane(view)
         for camera in self._scene.camera:  # type: ignore[union-attr]
             camera.pos = T_world_cam[:3, 3]
             camera.forward = T_world_cam[:3, :3] @ _GL_FORWARD
             camera.up = T_world_cam[:3, :3] @ _GL_UP
             camera.orthographic = 0
             camera.frustum_near, camera.frustum_far = NEAR_CLIP, FAR_CLIP
-            camera.frustum_center = 0.0
-            camera.frustum_width = NEAR_CLIP * view.width / 2 / view.K[0, 0]
-            camera.frustum_top = NEAR_CLIP * view.height / 2 / view.K[1, 1]
-            camera.frustum_bottom = -camera.frustum_top
+            camera.frustum_center, camera.frustum_width = frustum.centre, frustum.half_width
+            camera.frustum_top, camera.frustum_bottom = frustum.top, frustum.bottom
 
     def _decode(self, view: View, colours: NDArray[np.uint8], inverse: NDArray[np.float32]) -> Hits:
         """Turn id colours and the reversed depth buffer (1 at NEAR_CLIP, 0 at FAR_CLIP, linear in 1 / z) into hits."""

@@ -1,4 +1,4 @@
-"""The physics of the cell: owns MjModel and MjData, drops piles, moves the arm, answers questions about parts."""
+"""The physics of the cell: model and state, motion of the arm, parts in play, contacts."""
 
 from dataclasses import dataclass
 
@@ -14,18 +14,18 @@ from binpick_env.config import CONTROL_PERIOD, CellConfig
 from binpick_env.parts import Part
 from perception.geometry import Floats, make_transform, matrix_from_quat, quat_from_matrix
 
-ARENA = 128 << 20  # for contacts and constraints [bytes]
+ARENA = 128 << 20  # memory of a state for contacts and constraints [bytes]
 _JAW_REST = 1.0  # time after which the jaw's linkage is at rest under a new command [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Push:
-    """Contact of the robot with something.
+    """Contact of the robot with its surroundings.
 
     Attributes:
-        force: Summed magnitude of the contact forces [N].
-        with_cell: Whether bin, tray or table is among what is touched.
-        parts: Indices of the touched parts.
+        force: Sum of the magnitudes of the contact forces [N].
+        with_cell: Whether the robot touches the bin, the tray or the table.
+        parts: Indices of the parts that the robot touches.
     """
 
     force: float
@@ -34,29 +34,40 @@ class Push:
 
 
 class Simulation:
-    """One cell with room for ``capacity`` copies of a part; those out of play hang parked, weightless and asleep.
+    """One cell with a number of copies of a part; those out of play are parked, weightless and asleep.
 
     Attributes:
+        config: Settings of the cell.
+        part: Part that is picked.
+        capacity: Number of copies of the part.
+        model: Compiled model.
+        data: State of the model.
+        part_of_geom: (ngeom,) part that each geom belongs to, -1 for none.
+        in_play: (capacity,) mask of the parts in play.
+        target: (6,) last joint targets [rad].
+        gripper_target: Last gripper command, 0 open to 1 closed.
         gripper_open: Smallest gripper command that is obeyed: 0, or that of ``config.robot.jaw`` where one is set.
+        substeps: Number of physics steps in a control period.
     """
 
     def __init__(self, config: CellConfig, part: Part, capacity: int) -> None:
+        """Compile the cell with ``capacity`` copies of a part, and put it into its start."""
         self.config = config
         self.part = part
         self.capacity = capacity
         spec = cell_spec(config, part, capacity)
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-        # MuJoCo would put a diverged state back to the model's own start, unasked; it has to stay visible instead.
+        # MuJoCo would silently reset a diverged state to the model's own start; it has to stay visible instead.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        # Noslip's matrix over a crammed heap of 400 contacts outgrows MuJoCo's 18 MB, which is fatal; what is not used
-        # is not paged in.
+        # Noslip's matrix over a dense heap of 400 contacts exceeds MuJoCo's 18 MB, which is fatal. Unused memory is
+        # never paged in.
         spec.memory = ARENA
         spec.option.sleep_tolerance = config.contact.sleep_tolerance
         self.model: mujoco.MjModel = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._index()
         self._parking = parking_poses(capacity)
-        # Noslip keeps a gripped part from creeping; over a heap in motion it costs two thirds of the time for nothing.
+        # Noslip keeps a gripped part from creeping. While nothing is gripped it would cost two thirds of the time.
         self._noslip = int(self.model.opt.noslip_iterations)
         self.substeps = round(CONTROL_PERIOD / self.model.opt.timestep)
         self.gripper_open = 0.0
@@ -65,6 +76,7 @@ class Simulation:
             self._limit_jaw(config.robot.jaw)
 
     def _index(self) -> None:
+        """Look up where joints, geoms and actuators stand in the model's arrays."""
         model = self.model
         self._part_body = np.array([model.body(f"{PART}{i}").id for i in range(self.capacity)])
         joints = [model.joint(f"{PART}{i}") for i in range(self.capacity)]
@@ -97,7 +109,7 @@ class Simulation:
     # --- state -----------------------------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Put the arm home with the gripper open, and park every part."""
+        """Put the arm to its home position with the gripper open, and park every part."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self._arm_qpos] = HOME
         self.data.ctrl[:6] = HOME
@@ -112,7 +124,7 @@ class Simulation:
         mujoco.mj_forward(self.model, self.data)
 
     def snapshot(self) -> SimulationSnapshot:
-        """Return the whole state, to go back to; takes 1 ms and half a megabyte."""
+        """Return the whole state for :meth:`restore`; takes 1 ms and half a megabyte."""
         data = mujoco.MjData(self.model)
         mujoco.mj_copyData(data, self.model, self.data)
         return SimulationSnapshot(
@@ -125,10 +137,10 @@ class Simulation:
         )
 
     def restore(self, snapshot: SimulationSnapshot) -> None:
-        """Go back to a state of this simulation, or of another one of the same part, capacity and settings.
+        """Go back to a state of this simulation, or of another one with the same part, capacity and settings.
 
         Raises:
-            ValueError: It is of another cell.
+            ValueError: The snapshot is of another cell.
         """
         self._origin.require(snapshot.origin)
         mujoco.mj_copyData(self.data, self.model, snapshot.data)
@@ -138,11 +150,11 @@ class Simulation:
         self.gripper_target = snapshot.gripper_target
 
     def refresh(self) -> None:
-        """Bring the bodies' poses up to date with the joints': the last step left them one time step behind."""
+        """Bring the bodies' poses up to date with the joints; after a step they are one time step behind."""
         mujoco.mj_kinematics(self.model, self.data)
 
     def advance(self, duration: float) -> None:
-        """Let the physics run for ``duration`` [s] with all targets as they are; nothing is gripped meanwhile."""
+        """Run the physics for ``duration`` [s] with unchanged targets, while nothing is gripped."""
         self.model.opt.noslip_iterations = 0
         mujoco.mj_step(self.model, self.data, round(duration / self.model.opt.timestep))
 
@@ -153,17 +165,17 @@ class Simulation:
 
     @property
     def joint_positions(self) -> Floats:
-        """(6,) arm joints [rad]."""
+        """(6,) positions of the arm's joints [rad]."""
         return np.array(self.data.qpos[self._arm_qpos])
 
     @property
     def joint_velocities(self) -> Floats:
-        """(6,) arm joints [rad/s]."""
+        """(6,) velocities of the arm's joints [rad/s]."""
         return np.array(self.data.qvel[self._arm_dof])
 
     @property
     def gripper_position(self) -> float:
-        """How far the jaw is closed: 0 open, 1 closed."""
+        """Measured position of the jaw, 0 open to 1 closed."""
         return float(np.clip(self.data.qpos[self._driver_qpos] / self._driver_range, 0.0, 1.0))
 
     @property
@@ -186,7 +198,7 @@ class Simulation:
         return poses[:, :3, :3] @ self.part.model.centre + poses[:, :3, 3]
 
     def part_speeds(self) -> Floats:
-        """Return per part the larger of its speed [m/s] and its rim's speed from rotation [m/s]; 0 when asleep."""
+        """Return the (capacity,) speeds of the parts [m/s], that of the rim where it is larger; 0 when asleep."""
         velocity = self.data.qvel[self._part_dof]
         spin = np.linalg.norm(velocity[:, 3:], axis=1) * self.part.model.d_max / 2
         speeds: Floats = np.maximum(np.linalg.norm(velocity[:, :3], axis=1), spin)
@@ -199,20 +211,20 @@ class Simulation:
     # --- parts -----------------------------------------------------------------------------------------------------
 
     def place(self, i: int, T_world_part: Floats) -> None:
-        """Put part ``i`` into play at a pose, at rest."""
+        """Put part ``i`` into play at a (4, 4) pose, at rest."""
         self.move(i, T_world_part)
         self.model.body_gravcomp[self._part_body[i]] = 0.0
         self.in_play[i] = True
 
     def park(self, i: int) -> None:
-        """Take part ``i`` out of play."""
+        """Take part ``i`` out of play, to its parking position."""
         self.move(i, self._parking[i])
         self.model.body_gravcomp[self._part_body[i]] = 1.0
         self.in_play[i] = False
 
     def move(self, i: int, T_world_part: Floats) -> None:
-        """Put part ``i`` at a pose, at rest, in play or not as it was."""
-        # A changed qpos wakes a sleeping tree, and all that sleep in one island with it, at the next step.
+        """Put part ``i`` at a (4, 4) pose, at rest; whether it is in play does not change."""
+        # A changed qpos wakes a sleeping tree, and every tree that sleeps in one island with it, at the next step.
         self.data.qpos[self._part_qpos[i]] = [*T_world_part[:3, 3], *quat_from_matrix(T_world_part[:3, :3])]
         self.data.qvel[self._part_dof[i]] = 0.0
         self.data.qacc_warmstart[self._part_dof[i]] = 0.0
@@ -252,8 +264,18 @@ class Simulation:
 
     # --- motion without physics ------------------------------------------------------------------------------------
 
+    def refresh_contacts(self) -> None:
+        """Bring poses and contacts up to date with the joints, without a step."""
+        self.refresh()
+        mujoco.mj_collision(self.model, self.data)
+
     def put_arm(self, target_before: Floats, target: Floats) -> None:
-        """Put the arm where :meth:`step` ends when it came from one (6,) target to the next [rad]; no time passes."""
+        """Put the arm where :meth:`step` would leave it, without letting time pass.
+
+        Args:
+            target_before: (6,) joint targets of the step before [rad].
+            target: (6,) joint targets of the step [rad].
+        """
         # The spline through the targets runs half a control period late.
         self.data.qpos[self._arm_qpos] = (target_before + target) / 2
         self.data.qvel[self._arm_dof] = (target - target_before) / CONTROL_PERIOD
@@ -261,7 +283,12 @@ class Simulation:
         self._target_before, self.target = np.array(target_before), np.array(target)
 
     def put_jaw(self, posture: Floats, gripper: float) -> None:
-        """Put the (J,) joints of the jaw's linkage at rest [rad], under a command from 0 open to 1 closed."""
+        """Put the jaw's linkage at rest.
+
+        Args:
+            posture: (J,) positions of the linkage's joints [rad].
+            gripper: Command that holds them there, 0 open to 1 closed.
+        """
         self.data.qpos[self._jaw_qpos] = posture
         self.data.qvel[self._jaw_dof] = 0.0
         self.data.qacc_warmstart[self._jaw_dof] = 0.0
@@ -269,9 +296,11 @@ class Simulation:
         self.gripper_target = gripper
 
     def jaw_postures(self, commands: Floats, rest: float) -> Floats:
-        """Return the (N, J) positions [rad] of the jaw's joints under (N,) commands, one after the other.
+        """Return the (N, J) positions of the joints of the jaw's linkage under commands [rad], measured on a copy.
 
-        Measured on a copy of the state; the jaw gets ``rest`` [s] to come to rest at each.
+        Args:
+            commands: (N,) gripper commands, 0 open to 1 closed, given one after the other.
+            rest: Time that the jaw gets to come to rest under each [s].
         """
         data = self.snapshot().data
         postures = np.empty((len(commands), len(self._jaw_qpos)))
@@ -291,17 +320,17 @@ class Simulation:
         self.reset()
 
     def _wake(self, parts: NDArray[np.bool_]) -> None:
-        """Wake those of the (capacity,) parts that sleep.
+        """Wake the sleeping ones among the parts of a (capacity,) mask.
 
-        A part that has hung still in the jaw is put to sleep in mid-air as soon as the pads leave it.
+        MuJoCo would otherwise let a part that hung still in the jaw sleep in mid-air when the pads leave it.
         """
         for i in np.flatnonzero(parts & self.asleep() & self.in_play):
             T_world_part = self.part_poses()[i]
-            T_world_part[2, 3] -= 1e-6  # what has moved is woken
+            T_world_part[2, 3] -= 1e-6  # moving a part wakes it
             self.move(int(i), T_world_part)
 
     def _inertial_torque(self, acceleration: Floats) -> Floats:
-        """Return the (6,) torques that accelerate the arm's links by (6,) joint accelerations [rad/s^2]."""
+        """Return the (6,) joint torques [N m] for (6,) joint accelerations [rad/s^2], gravity and velocity left out."""
         joint_acceleration = np.zeros(self.model.nv)
         joint_acceleration[self._arm_dof] = acceleration
         torque = np.zeros(self.model.nv)
@@ -309,7 +338,7 @@ class Simulation:
         return np.array(torque[self._arm_dof])
 
     def _jaw_ramp(self, gripper: float) -> tuple[float, float]:
-        """Return the jaw's target at the period's start and end; opening begins where the jaw is, not its target."""
+        """Return the gripper command at a control period's start and end; opening starts from the jaw's position."""
         stroke = CONTROL_PERIOD / self.config.robot.gripper_time
         goal = float(np.clip(gripper, self.gripper_open, 1.0))
         start = min(self.gripper_target, self.gripper_position) if goal < self.gripper_target else self.gripper_target
@@ -322,7 +351,7 @@ class Simulation:
     # --- contacts --------------------------------------------------------------------------------------------------
 
     def robot_push(self) -> Push:
-        """Return what the robot touches now, its own links left out, and how hard."""
+        """Return what the robot touches now, other than itself, and the force."""
         force, with_cell, parts = 0.0, False, set()
         wrench = np.zeros(6)
         for c in range(self.data.ncon):
@@ -338,14 +367,17 @@ class Simulation:
         return Push(force=force, with_cell=with_cell, parts=frozenset(parts))
 
     def robot_ends(self) -> NDArray[np.bool_]:
-        """Return (C, 2) which ends of the contacts are the robot's."""
+        """Return the (C, 2) mask of the contacts' ends that are the robot's."""
         return np.array(self._is_robot_geom[self.data.contact.geom[: self.data.ncon]])
+
+    def part_ends(self) -> NDArray[np.int64]:
+        """Return the (C, 2) parts at the contacts' ends, -1 for anything else."""
+        return np.array(self.part_of_geom[self.data.contact.geom[: self.data.ncon]])
 
     def touched_by_gripper(self) -> NDArray[np.bool_]:
         """Return the (capacity,) mask of parts that touch any link of the robot."""
-        pairs, robot = self.data.contact.geom[: self.data.ncon], self.robot_ends()
         touched = np.zeros(self.capacity, dtype=bool)
-        partners = self.part_of_geom[pairs[robot[:, ::-1]]]
+        partners = self.part_ends()[self.robot_ends()[:, ::-1]]
         touched[partners[partners >= 0]] = True
         return touched
 

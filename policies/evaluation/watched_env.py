@@ -5,7 +5,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.env import BinPickEnv, Observation
+from binpick_env.env import BinPickEnv
+from binpick_env.env_spaces import Observation
 
 
 class StepListener(Protocol):

@@ -6,8 +6,8 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from itertools import islice
 
-from binpick_env.cell.snapshot import Snapshot
 from binpick_env.env import BinPickEnv
+from binpick_env.episode import Snapshot
 from policies.evaluation.records import BinRecord
 from policies.grasping.failed_grasps import FailedGrasps
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult

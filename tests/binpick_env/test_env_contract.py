@@ -108,7 +108,7 @@ def test_the_docstring_tells_of_every_argument_and_observation(shared_env: BinPi
     assert set(re.findall(r"^    \| `(\w+)` \|", text, flags=re.MULTILINE)) >= set(
         inspect.signature(BinPickEnv).parameters
     )
-    assert all(f"`{key}`" in text for key in shared_env._observed)
+    assert all(f"`{key}`" in text for key in shared_env._boxes)
 
 
 @pytest.mark.slow

@@ -95,7 +95,7 @@ def test_images_are_observed_where_wanted() -> None:
 
 
 def test_the_state_is_all_there_is_by_default(shared_env: BinPickEnv) -> None:
-    assert sorted(shared_env._observed) == [
+    assert sorted(shared_env._boxes) == [
         "candidate_mask",
         "candidates",
         "frame_age",

@@ -1,5 +1,7 @@
 """A camera that is not quite where it is believed to be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,7 +40,9 @@ def test_what_is_true_of_the_parts_stays_true() -> None:
     env.reset(seed=3)
     fractions = env.labelled_capture.visible_fractions
     assert fractions.max() > 0.5
-    env._hand_eye = np.array([0.0, 0.0, -0.1])  # from there parts would look larger, and seem half hidden
+    env._episode = replace(
+        env.episode, hand_eye=np.array([0.0, 0.0, -0.1])
+    )  # from there parts would look larger, and seem half hidden
     env.look()
     np.testing.assert_array_equal(env.labelled_capture.visible_fractions, fractions)
 

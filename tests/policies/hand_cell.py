@@ -19,6 +19,7 @@ from binpick_env.observation.perceiver import Perceiver
 from perception.geometry import Floats, make_transform, rotation_about
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.scripted import T_SENSE, ScriptedPicker
+from tests.last_frame import change_depth
 
 Fault = Callable[[Floats], Floats]
 SMALL_BIN = 6
@@ -79,10 +80,7 @@ class HandCell:
 
     def see(self, depth: Floats) -> None:
         """Replace the last frame's depth (H, W) or a number for all of it."""
-        capture = self.env.capture
-        assert capture is not None
-        full = np.broadcast_to(np.asarray(depth, np.float32), capture.frame.depth.shape)
-        self.env.capture = replace(capture, frame=replace(capture.frame, depth=full))
+        change_depth(self.env, depth)
 
     def _step(self, action: Floats) -> Any:
         if self.fault is not None:

@@ -11,8 +11,10 @@ import trimesh
 
 from binpick_env.camera import egl
 from binpick_env.camera.depth_camera import Capture, DepthCamera, default_pose
+from binpick_env.camera.egl import NEAR_CLIP, near_plane
 from binpick_env.camera.raster import corner_normals, is_closed
 from binpick_env.camera.shading import Light
+from binpick_env.camera.view import View
 from binpick_env.config import BinConfig, CameraConfig
 from perception.frame import Workspace
 from perception.geometry import (
@@ -156,6 +158,50 @@ def test_backends_agree_with_rays(pile: Scene, other: str, pose: Floats | None) 
     grey = np.abs(rays.frame.grey.astype(int) - fast.frame.grey)
     assert np.mean(grey > 2) < 2e-3
     assert len(np.unique(rays.instance_ids)) == 9
+
+
+def off_centre(scene: Scene, backend: str) -> Capture:
+    """Return a capture by a camera whose optical axis meets the image far from its middle."""
+    camera = make_camera(scene, replace(CAMERA, backend=backend))
+    camera.K = camera.K + np.array([[0.0, 0.0, 31.25], [0.0, 40.0, -17.5], [0.0, 0.0, 0.0]])
+    capture = camera.capture(scene.data, np.random.default_rng(0), "none")
+    camera.close()
+    return capture
+
+
+@pytest.mark.parametrize("other", ["raster", "egl"])
+def test_backends_agree_with_rays_off_the_images_centre(pile: Scene, other: str) -> None:
+    if other == "egl" and not egl_works():
+        pytest.skip("no EGL driver on this machine (libegl1, libgl1-mesa-dri)")
+    rays, fast = off_centre(pile, "rays"), off_centre(pile, other)
+    assert np.mean(rays.instance_ids != fast.instance_ids) < 1e-3
+    assert np.mean(np.abs(rays.depth_true - fast.depth_true) > 1e-5) < 1e-3
+    centred = look(pile)
+    assert np.mean(rays.instance_ids != centred.instance_ids) > 0.02
+
+
+def test_the_near_plane_of_gl_is_what_the_image_covers_of_it() -> None:
+    """Each corner of the image, half a pixel outside of the corner pixel's centre, projects onto the near plane."""
+    K = np.array([[520.0, 0.0, 251.5], [0.0, 610.0, 139.25], [0.0, 0.0, 1.0]])
+    empty = np.zeros((0, 3))
+    view = View(K=K, width=480, height=360, region=np.zeros(4, np.int64), rotations=empty, positions=empty)
+    plane = near_plane(view)
+    for corner, x, y in [
+        ((-0.5, -0.5), plane.centre - plane.half_width, plane.top),
+        ((479.5, 359.5), plane.centre + plane.half_width, plane.bottom),
+    ]:
+        ray = np.linalg.inv(K) @ (*corner, 1.0)  # camera frame, y down
+        np.testing.assert_allclose((x, -y), NEAR_CLIP * ray[:2], atol=1e-15)
+
+
+def test_the_near_plane_of_a_centred_camera_is_symmetric() -> None:
+    empty = np.zeros((0, 3))
+    K = make_camera(build(np.zeros((0, 4, 4)))).K
+    size = {"width": CAMERA.width, "height": CAMERA.height}
+    plane = near_plane(View(K=K, **size, region=np.zeros(4, np.int64), rotations=empty, positions=empty))
+    assert plane.centre == 0.0
+    assert plane.bottom == -plane.top
+    assert plane.half_width / plane.top == pytest.approx(CAMERA.width / CAMERA.height)
 
 
 def test_rays_do_not_depend_on_threads(pile: Scene) -> None:

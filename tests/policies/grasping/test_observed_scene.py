@@ -10,6 +10,7 @@ from policies.grasping.heightmap import HeightMap
 from policies.grasping.observed_scene import ObservedScene
 from policies.picking.scripted import ScriptedPicker
 from policies.picking.settings import PickerSettings
+from tests.last_frame import change_frame
 from tests.policies.grasp_cell import WALL, box, candidate, look, placed, workspace
 from tests.policies.hand_cell import HandCell, hand_cell
 
@@ -85,7 +86,7 @@ def test_a_picker_lays_a_frame_out_once(tees: HandCell, monkeypatch: pytest.Monk
     assert len(made) == 1
     env.look()
     assert picker.observed_scene() is made[1]
-    env.candidates = env.candidates[:0]
+    change_frame(env, candidates=[])
     assert picker.observed_scene().parts == ()
     assert len(made) == 3
 

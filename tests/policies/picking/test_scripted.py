@@ -2,6 +2,7 @@
 
 from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from binpick_env.parts.catalogue import CATALOGUE
 from policies.grasping.outcomes import Abstention, GraspOutcome
 from policies.picking.episode import BinResult, Termination, run_bin
 from policies.picking.scripted import T_SENSE
+from tests.last_frame import change_frame
 from tests.policies.hand_cell import (
     SMALL_BIN,
     Blind,
@@ -172,11 +174,8 @@ def test_a_decision_reads_no_truth(tees: HandCell, monkeypatch: pytest.MonkeyPat
 
     for question in ("part_poses", "part_centres", "part_speeds", "asleep", "gripped", "touched_by_gripper"):
         monkeypatch.setattr(tees.env.simulation, question, forbidden)
-    capture = tees.env.capture
-    assert capture is not None
     nothing = {name: np.zeros(0) for name in ("instance_ids", "depth_true", "normals")}
-    tees.env.capture = replace(capture, **nothing)  # type: ignore[arg-type]
-    monkeypatch.setattr(tees.env, "labelled_capture", None)
+    change_frame(tees.env, labelled_capture=SimpleNamespace(capture=replace(tees.env.capture, **nothing)))
     with pytest.raises(AssertionError, match="asked for the truth"):  # after the plan, to judge the attempt by
         tees.picker.pick()
     assert tees.picker.rank_stats.clear > 0

@@ -9,7 +9,6 @@ import pytest
 import rerun as rr
 import trimesh
 
-from binpick_env.camera.depth_camera import Capture
 from binpick_env.camera.view import visible_geoms
 from binpick_env.config import CameraConfig
 from binpick_env.evaluation.segmentation.pictures import part_colours
@@ -17,6 +16,7 @@ from perception.geometry import make_transform, transform_points
 from policies.evaluation.watched_env import WatchedEnv
 from policies.report.recording_motion import instance_poses, pack
 from policies.report.recording_scene import CLOUD_POINTS, SceneLog, geom_mesh, is_whole, shaded_mesh
+from tests.last_frame import change_depth, change_frame
 from tests.policies.fake_cell import observed
 from tests.policies.report.rrd_file import RrdFile
 
@@ -123,7 +123,7 @@ def test_boundary_points_have_the_colours_of_their_segments(tmp_path: Path) -> N
     points_cam = np.column_stack([np.linspace(-0.1, 0.1, 320), np.zeros(320), np.full(320, 0.8)])
     assert observation.perception is not None
     boundary = replace(observation.perception.boundary, points_cam=points_cam)
-    env.observed = replace(observation, perception=replace(observation.perception, boundary=boundary))
+    change_frame(env, observed=replace(observation, perception=replace(observation.perception, boundary=boundary)))
     file = write(env, tmp_path / "bin.rrd")
     (_, colours), (_, points) = (
         file.rows("/world/seen/segments", f"Points3D:{name}")[0] for name in ("colors", "positions")
@@ -144,8 +144,7 @@ def test_a_cloud_is_thinned_and_a_frame_without_depth_has_none(tmp_path: Path) -
     assert env.frame.valid.sum() > 2 * CLOUD_POINTS
     (_, points) = write(env, tmp_path / "full.rrd").rows("/world/seen/cloud", "Points3D:positions")[0]
     assert CLOUD_POINTS / 4 < len(points) <= CLOUD_POINTS
-    capture: Capture = env.labelled_capture.capture
-    env.capture = replace(capture, frame=replace(capture.frame, depth=np.zeros_like(capture.frame.depth)))
+    change_depth(env, 0.0)
     (_, points) = write(env, tmp_path / "empty.rrd").rows("/world/seen/cloud", "Points3D:positions")[0]
     assert points == []
     env.close()

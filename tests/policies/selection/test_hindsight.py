@@ -35,7 +35,7 @@ def state(cell: HandCell) -> tuple[Any, ...]:
     failed = [(f.centre_world.tobytes(), f.T_world_grasp.tobytes()) for f in cell.picker.failed._failures]
     physics = env.simulation.data
     seen = env.frame.depth.tobytes(), env.frame.grey.tobytes(), env.frame_id, env.np_random.bit_generator.state
-    counts = env.delivered, env.remaining, tuple(env.events), env._steps, env.simulation.time
+    counts = env.delivered, env.remaining, tuple(env.events), env.episode.steps, env.simulation.time
     return physics.qpos.tobytes(), physics.qvel.tobytes(), seen, counts, failed
 
 

@@ -27,7 +27,7 @@ def env() -> BinPickEnv:
 
 
 def later(env: BinPickEnv) -> list[Any]:
-    """Move the arm at random, look twice, and return all that can be seen of it."""
+    """Move the arm at random, take two frames, and return all that can be observed of it."""
     moved = [env.step(action)[0] for action in random_actions(env, 12)]
     looks = [{**env.look(), "depth": env.frame.depth, "grey": env.frame.grey} for _ in range(2)]
     data = env.simulation.data
@@ -49,12 +49,13 @@ def deliver(env: BinPickEnv) -> None:
 def facts(env: BinPickEnv) -> dict[str, Any]:
     """Return all that an environment, its simulation and its judge hold, by name; arrays are copied."""
     owners = {"env": env, "simulation": env.simulation, "judge": env._judge}
-    whole = {id(owner) for owner in owners.values()} | {id(env.simulation.data), id(env.np_random)}
+    whole = {id(env.episode)} | {id(owner) for owner in owners.values()} | {id(env.simulation.data), id(env.np_random)}
     held: dict[str, Any] = {}
     for owner, thing in owners.items():
         for name, value in vars(thing).items():
             if id(value) not in whole:
                 held[f"{owner}.{name}"] = value.copy() if isinstance(value, np.ndarray | set | list) else value
+    held |= {f"episode.{name}": value for name, value in vars(env.episode).items()}
     held["gravcomp"] = env.simulation.model.body_gravcomp.copy()
     held["asleep"] = env.simulation.asleep()
     held["random"] = env.np_random.bit_generator.state
@@ -100,12 +101,11 @@ def test_nothing_is_left_of_what_came_between(env: BinPickEnv) -> None:
     env.simulation.place(1, above_tray(env.simulation))
     act(env, 1.5, np.append(HOME, 0.0).astype(np.float32))
     changed = differing(before, facts(env))
-    assert {"env._steps", "env.events", "env.delivered", "simulation.in_play", "gravcomp", "random"} <= changed
+    assert {"episode.steps", "episode.events", "episode.frame", "simulation.in_play", "gravcomp", "random"} <= changed
     env.restore(snapshot)
     assert differing(before, facts(env)) <= {"judge._tray", "judge._bin"}  # copies of boxes that nobody changes
-    env.events.clear()
-    env.restore(snapshot)
-    assert len(env.events) == 1
+    env.events.clear()  # a copy
+    assert len(env.events) == env.delivered == 1
 
 
 def test_the_judge_goes_on_where_it_was(env: BinPickEnv) -> None:
