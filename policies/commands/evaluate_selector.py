@@ -73,7 +73,12 @@ def _compare(args: Arguments) -> str:
     from tqdm import tqdm
 
     from policies.evaluation.conditions import conditions
-    from policies.selection.evaluation import compare_selectors, evaluate_selectors, save_standings, standings_table
+    from policies.selection.evaluation import (
+        compare_selectors,
+        evaluate_selectors,
+        save_selector_results,
+        selector_table,
+    )
 
     config, job = args.config(), args.job()
     config.check()
@@ -84,8 +89,8 @@ def _compare(args: Arguments) -> str:
             bar.update()
 
         records = evaluate_selectors(config, job, args.selectors, on_bin)
-    best, standings = compare_selectors(records, args.seed)
+    best, results = compare_selectors(records, args.seed)
     title = " · ".join([args.part, *conditions(asdict(config)), f"{args.bins} bins", f"seed {args.seed}"])
     path = args.json or job.out / "selectors.json"
-    save_standings(path, config, best, standings, records)
-    return "\n".join([title, standings_table(best, standings), f"kept in {path}"])
+    save_selector_results(path, config, best, results, records)
+    return "\n".join([title, selector_table(best, results), f"kept in {path}"])

@@ -1,4 +1,4 @@
-"""What pickers share that take from the menu of grasps where the scripted picker takes its own first choice."""
+"""What pickers share that choose among grasp candidates, where the scripted picker takes its own first choice."""
 
 import time
 
@@ -8,24 +8,30 @@ from policies.selection.candidate_generator import CandidateGenerator, GraspCand
 
 
 class CandidatePicker:
-    """Holds the cell, the menu, and the scripted picker that plans and executes what is chosen."""
+    """Owns the generator of grasp candidates, and the scripted picker that plans and executes the chosen one."""
 
     def __init__(self, env: BinPickEnv, picker: ScriptedPicker | None, per_part: int) -> None:
-        """Keep the unwrapped cell, a picker (a new one if None), and how many grasps of each part are offered."""
+        """Build the generator.
+
+        Args:
+            env: Unwrapped cell.
+            picker: Picker that ranks, plans and executes; a new one if None.
+            per_part: Largest number of candidates on one part.
+        """
         self._env = env
         self._picker = picker or ScriptedPicker(env)
-        self._menu = CandidateGenerator(env, self._picker, per_part)
+        self._generator = CandidateGenerator(env, self._picker, per_part)
         self._compiled = False
 
     def reset(self) -> None:
-        """Forget the last bin."""
+        """Forget the failed attempts of the last bin."""
         self._picker.reset()
 
-    def _offer(self) -> tuple[GraspCandidates, float]:
-        """Return what the last frame offers, and the wall clock that perception and offer took [s]."""
+    def _timed_candidates(self) -> tuple[GraspCandidates, float]:
+        """Return the candidates in the last frame, and the wall clock time of perception and generation [s]."""
         if not self._compiled:  # the kernels' compilation is no part of a decision's time
-            self._menu.offer()
+            self._generator.generate()
             self._compiled = True
         started = time.perf_counter()
-        offer = self._menu.offer()
-        return offer, self._env.perception_time + time.perf_counter() - started
+        candidates = self._generator.generate()
+        return candidates, self._env.perception_time + time.perf_counter() - started

@@ -1,4 +1,4 @@
-"""Selectors on the same bins: each picks all of them, and what they deliver is compared bin by bin."""
+"""Evaluation of selectors: all pick the same bins, and their deliveries are compared bin by bin."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -23,16 +23,16 @@ from policies.picking.scripted import ScriptedPicker
 from policies.selection.hindsight import HINDSIGHT, HindsightPicker, HindsightTally, hindsight_tally
 from policies.selection.selectors import SELECTORS, SelectorPicker, load_selector, selector_path
 
-Records = dict[str, list[BinRecord]]  # by the selector's name, bins in order
-Gap = tuple[float, float, float]  # difference of two rates with its 95 % interval
+Records = dict[str, list[BinRecord]]  # records of the bins in order, by name of the selector
+Gap = tuple[float, float, float]  # difference of two rates, and the ends of its 95 % interval
 
 
 def selector_cell(spec: str, config: EvaluationConfig) -> Cell:
-    """Build a cell in which a selector chooses, or hindsight.
+    """Build a cell in which a selector or hindsight chooses.
 
     Args:
-        spec: Name of a heuristic, path to a trained selector, or `HINDSIGHT`.
-        config: Of the cell.
+        spec: Name of a heuristic or of a shipped selector, path to a trained one, or `HINDSIGHT`.
+        config: Settings of cell and picker.
     """
     env = watched_env(config)
     if spec == HINDSIGHT:
@@ -41,10 +41,13 @@ def selector_cell(spec: str, config: EvaluationConfig) -> Cell:
 
 
 def selector_names(specs: Sequence[str]) -> dict[str, str]:
-    """Return for each selector's spec a name of its own: a trained one's has its file's contents in it.
+    """Return a unique name for each selector; that of a trained one contains a hash of its file.
+
+    Args:
+        specs: Names of heuristics or of shipped selectors, paths to trained ones, or `HINDSIGHT`.
 
     Raises:
-        ValueError: A selector is asked for twice, or there is none such.
+        ValueError: A selector is given twice, or does not exist.
     """
     names = {}
     for spec in specs:
@@ -65,41 +68,41 @@ def evaluate_selectors(
     on_bin: Callable[[str, BinRecord], None] | None = None,
     make_cell: Callable[[str, EvaluationConfig], Cell] = selector_cell,
 ) -> Records:
-    """Let every selector pick the same bins; each has a folder of its own, and what lies there is not computed again.
+    """Let every selector pick the same bins, each into a folder of its own; bins that have a record are not repeated.
 
     Args:
-        config: Part, perception, sensor, fill and seed.
-        job: Folder, number of bins, processes.
-        specs: Names of heuristics, paths to trained selectors, `HINDSIGHT` for the bound.
-        on_bin: Called with a selector's name and each of its records.
-        make_cell: Builds the cell of a selector.
+        config: Settings of cell and picker, seed included.
+        job: Folder, number of bins and number of processes.
+        specs: Names of heuristics or of shipped selectors, paths to trained ones, or `HINDSIGHT` for the upper bound.
+        on_bin: Callback with the name of a selector and each of its records.
+        make_cell: Function that builds the cell of a selector.
 
     Raises:
-        ValueError: There is no such selector, or one is asked for twice.
-        FolderError: The folder holds an evaluation of another configuration.
-        BinError: A bin failed; every other one that was finished is kept.
+        ValueError: A selector does not exist, or is given twice.
+        FolderError: The folder holds an evaluation with another configuration.
+        BinError: A bin failed; all other finished bins are kept.
     """
     records = {}
     for spec, name in selector_names(specs).items():
-        tell = partial(on_bin, name) if on_bin is not None else None
+        notify = partial(on_bin, name) if on_bin is not None else None
         own = replace(job, out=job.out / name)
-        records[name] = run_job(config, own, tell, make_cell=partial(make_cell, spec))
+        records[name] = run_job(config, own, notify, make_cell=partial(make_cell, spec))
     return records
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
-    """How a selector did.
+class SelectorResult:
+    """Rates of a selector over all bins, and their differences from those of the best heuristic.
 
     Attributes:
-        dr: Parts delivered of those settled, pooled.
-        gsr: Attempts that delivered, pooled.
-        bins: How many.
-        dr_gap: DR minus the best heuristic's, paired by bins; None for that heuristic itself.
-        gsr_gap: Likewise the GSR.
-        reached: Share of hindsight's gain in DR over the best heuristic that is this one's; None without hindsight, or
-            where the interval of that gain reaches down to 0.
-        tally: What its decisions came to, for hindsight itself.
+        dr: Delivery rate, parts delivered of parts settled, pooled over bins.
+        gsr: Grasp success rate, deliveries of attempts, pooled over bins.
+        bins: Number of bins.
+        dr_gap: DR minus that of the best heuristic, paired by bins; None for that heuristic itself.
+        gsr_gap: GSR minus that of the best heuristic, paired by bins; None for that heuristic itself.
+        reached: Gain in DR over the best heuristic, as a share of hindsight's gain; None without hindsight, or if the
+            interval of hindsight's gain includes 0.
+        tally: Counts of the decisions of hindsight; None for other selectors.
     """
 
     dr: Rate
@@ -111,22 +114,22 @@ class Standing:
     tally: HindsightTally | None = None
 
 
-def compare_selectors(records: Records, seed: int = 0) -> tuple[str, dict[str, Standing]]:
-    """Return the best heuristic by DR, and every selector's standing against it; hindsight is none of them.
+def compare_selectors(records: Records, seed: int = 0) -> tuple[str, dict[str, SelectorResult]]:
+    """Return the name of the heuristic with the best DR, and the results of all selectors compared with it.
 
     Args:
-        records: Of the same bins.
-        seed: Of the bootstrap over bins.
+        records: Records of the same bins for each selector; hindsight is no heuristic.
+        seed: Seed of the bootstrap over bins.
 
     Raises:
-        ValueError: There is no heuristic among them, or their bins are not the same.
+        ValueError: There is no heuristic among the selectors, or their bins differ.
     """
     heuristics = [name for name in records if name in SELECTORS]
     if not heuristics:
         raise ValueError(f"a heuristic is needed to compare with: one of {', '.join(SELECTORS)}")
     if len({tuple(record.seed for record in own) for own in records.values()}) > 1:
         raise ValueError("the selectors were not evaluated on the same bins")
-    plain = {name: _standing(own) for name, own in records.items()}
+    plain = {name: _result(own) for name, own in records.items()}
     best = max(heuristics, key=lambda name: plain[name].dr.value or 0.0)
     compared = {best: plain[best]}
     for name, own in records.items():
@@ -138,33 +141,33 @@ def compare_selectors(records: Records, seed: int = 0) -> tuple[str, dict[str, S
             dr_gap=paired_ratio_difference(_deliveries(own), _deliveries(records[best]), rng),
             gsr_gap=paired_ratio_difference(_successes(own), _successes(records[best]), rng),
         )
-    return best, _against_the_bound(compared, records)
+    return best, _with_shares_of_bound(compared, records)
 
 
-def standings_table(best: str, standings: dict[str, Standing]) -> str:
-    """Return all standings as text, the best DR first; with hindsight, which share of its gain each has reached."""
-    bound = standings.get(HINDSIGHT)
+def selector_table(best: str, results: dict[str, SelectorResult]) -> str:
+    """Return all results as text, the best DR first; with hindsight, also the share of its gain that each reached."""
+    bound = results.get(HINDSIGHT)
     rows: list[tuple[str, ...]] = [("selector", "DR", "95 %", "GSR", "95 %", "n", "DR gap", "GSR gap")]
-    order = sorted(standings, key=lambda name: -(standings[name].dr.value or 0.0))
+    order = sorted(results, key=lambda name: -(results[name].dr.value or 0.0))
     for name in order:
-        own = standings[name]
+        own = results[name]
         shares = (cell for each in (own.dr, own.gsr) for cell in (_percent(each.value), _span(each.low, each.high)))
         gaps = tuple("best heuristic" if gap is None else _gap(gap) for gap in (own.dr_gap, own.gsr_gap))
         rows.append((f"{name} (bound)" if name == HINDSIGHT else name, *shares, str(own.gsr.n), *gaps))
     if bound is not None:
-        reached = ["" if (share := standings[name].reached) is None else f"{100 * share:.0f} %" for name in order]
+        reached = ["" if (share := results[name].reached) is None else f"{100 * share:.0f} %" for name in order]
         rows = [(*row, cell) for row, cell in zip(rows, ["of the bound", *reached], strict=True)]
-    bins = standings[best].bins
+    bins = results[best].bins
     text = f"{columns(rows)}\n{bins} bins; gaps in points to {best}, paired bootstrap over bins, 95 %; n attempts"
     if bound is None:
         return text
     return f"{text}\nof the bound: share of the DR that hindsight gains over {best}\n{bound.tally}"
 
 
-def save_standings(
-    path: Path, config: EvaluationConfig, best: str, standings: dict[str, Standing], records: Records
+def save_selector_results(
+    path: Path, config: EvaluationConfig, best: str, results: dict[str, SelectorResult], records: Records
 ) -> None:
-    """Write the numbers with their configuration and where they come from."""
+    """Write the results with their configuration and provenance as JSON."""
     facts: dict[str, Any] = {"best_heuristic": best, "seed": config.seed, "config": asdict(config)}
     facts["selectors"] = {
         name: {
@@ -180,23 +183,25 @@ def save_standings(
             "gsr_gap": own.gsr_gap,
             "reached": own.reached,
         }
-        for name, own in standings.items()
+        for name, own in results.items()
     }
-    bound = standings.get(HINDSIGHT)
+    bound = results.get(HINDSIGHT)
     facts["hindsight"] = None if bound is None or bound.tally is None else asdict(bound.tally)
     commits = sorted({record.git_commit for own in records.values() for record in own})
     facts |= {"command": command_line(), "git_commits": commits, "versions": versions()}
     write_atomically(path, json_text(facts))
 
 
-def _standing(records: Sequence[BinRecord]) -> Standing:
+def _result(records: Sequence[BinRecord]) -> SelectorResult:
     delivered, parts = _deliveries(records).sum(axis=0).astype(int)
     successes, attempts = _successes(records).sum(axis=0).astype(int)
-    return Standing(dr=rate(int(delivered), int(parts)), gsr=rate(int(successes), int(attempts)), bins=len(records))
+    return SelectorResult(
+        dr=rate(int(delivered), int(parts)), gsr=rate(int(successes), int(attempts)), bins=len(records)
+    )
 
 
-def _against_the_bound(compared: dict[str, Standing], records: Records) -> dict[str, Standing]:
-    """Note how much of the way from the best heuristic's DR to the bound's each has come, if the way is not chance."""
+def _with_shares_of_bound(compared: dict[str, SelectorResult], records: Records) -> dict[str, SelectorResult]:
+    """Add each selector's gain in DR as a share of hindsight's, provided that the latter is significant."""
     bound = compared.get(HINDSIGHT)
     if bound is None:
         return compared
@@ -213,8 +218,8 @@ def _deliveries(records: Sequence[BinRecord]) -> Floats:
 
 
 def _successes(records: Sequence[BinRecord]) -> Floats:
-    won = [sum(pick.outcome is GraspOutcome.DELIVERED for pick in record.attempts) for record in records]
-    return np.array([(n, len(record.attempts)) for n, record in zip(won, records, strict=True)], dtype=np.float64)
+    delivered = [sum(pick.outcome is GraspOutcome.DELIVERED for pick in record.attempts) for record in records]
+    return np.array([(n, len(record.attempts)) for n, record in zip(delivered, records, strict=True)], dtype=np.float64)
 
 
 def _percent(share: float | None) -> str:

@@ -1,4 +1,4 @@
-"""The picker that knows how an attempt ends: a bound for those who have to choose before."""
+"""Hindsight: a picker that knows how an attempt ends, as an upper bound for selectors that have to choose before."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -15,24 +15,24 @@ from policies.picking.scripted import T_SENSE, ScriptedPicker
 from policies.selection.candidate_generator import PER_PART, ROWS, GraspCandidates
 from policies.selection.candidate_picker import CandidatePicker
 
-HINDSIGHT = "hindsight"  # its name among selectors
-TRIED = "tried"  # among a grasp's features: how many attempts were made from one state, for one to be kept
-_State = tuple[Snapshot, FailedGrasps]  # of the cell, and what the picker has learned in it
+HINDSIGHT = "hindsight"  # name of this picker beside those of selectors
+TRIED = "tried"  # entry in a grasp's features: number of attempts from one state, of which one is kept
+_State = tuple[Snapshot, FailedGrasps]  # state of the cell, and the failed grasps that the picker remembers
 
 
 class HindsightPicker(CandidatePicker):
-    """A `policies.picking.episode.Picker` that tries the rows on offer, each from the same state, until one delivers.
+    """A `policies.picking.episode.Picker` that attempts the candidates from the same state until one delivers.
 
-    The rows come in their own order, the scripted picker's. The first attempt that delivers is kept; if none does, the
-    first of all, the failure that would have been. Every other one is undone, to the bit, with what the picker had
-    learned from it. A row whose path turns out to be blocked is no attempt.
+    Candidates are attempted in the scripted picker's order. The first attempt that delivers is kept. If none delivers,
+    the first attempt of all is kept, which is the failure that the scripted picker would have had. Every other attempt
+    is undone bit for bit, with what the picker remembers of it. A candidate whose path is blocked is not attempted.
 
-    Unless ``most`` cuts it short, no selector of these rows wins a decision that this picker loses. It looks one
-    attempt ahead and no further: a delivery that buries another part it takes as gladly as one that does not, so that a
-    selector may, in principle, still do better over a whole bin.
+    Unless ``most`` ends the search, no selector delivers in a decision in which this picker fails. The search covers
+    one attempt: a delivery that buries another part counts as much as one that does not, so that a selector may in
+    principle still do better over a whole bin.
 
-    The result's grasp says under `TRIED` among its features how many attempts were made. Its ``t_compute`` is that of
-    the attempt that was kept. Who films or records the cell sees the attempts that are undone, too.
+    The number of attempts is stored as `TRIED` in the features of the result's grasp. The result's ``t_compute`` is
+    that of the attempt that is kept. Films and recordings of the cell contain the undone attempts as well.
     """
 
     def __init__(
@@ -43,13 +43,13 @@ class HindsightPicker(CandidatePicker):
         per_part: int = PER_PART,
         most: int = ROWS,
     ) -> None:
-        """Keep the cell.
+        """Build the picker.
 
         Args:
-            env: The unwrapped cell.
-            picker: Ranks, plans and executes; a new one if None.
-            per_part: At most so many grasps of each part.
-            most: Attempts from one state, at most.
+            env: Unwrapped cell.
+            picker: Picker that ranks, plans and executes; a new one if None.
+            per_part: Largest number of candidates on one part.
+            most: Largest number of attempts from one state.
         """
         if most < 1:
             raise ValueError(f"most must be at least 1, got {most}")
@@ -60,40 +60,40 @@ class HindsightPicker(CandidatePicker):
     def pick(self) -> PickResult:
         """Make one decision on the last frame: the attempt that is kept, or an abstention."""
         frame_id = self._env.frame_id
-        offer, offered = self._offer()
+        candidates, generation_time = self._timed_candidates()
         started = time.perf_counter()
         first: tuple[PickResult, _State] | None = None
         tried = 0
-        for result in islice(self._attempts(offer), self._most):
+        for result in islice(self._attempts(candidates), self._most):
             tried += 1
             if result.success:
-                return _kept(result, tried, offered)
+                return _kept(result, tried, generation_time)
             first = first or (result, self._state())
         if first is None:
-            reason = offer.reason or Abstention.NO_CLEAR_APPROACH
-            compute = offered + time.perf_counter() - started
+            reason = candidates.reason or Abstention.NO_CLEAR_APPROACH
+            compute = generation_time + time.perf_counter() - started
             return PickResult(abstention=reason, t_sense=T_SENSE, t_compute=compute, frame_id=frame_id)
         result, after = first
-        self._go_back(after)
-        return _kept(result, tried, offered)
+        self._restore(after)
+        return _kept(result, tried, generation_time)
 
-    def _attempts(self, offer: GraspCandidates) -> Iterator[PickResult]:
-        """Make the attempts on offer, each from the state that the cell is in now."""
+    def _attempts(self, candidates: GraspCandidates) -> Iterator[PickResult]:
+        """Attempt the candidates, each from the state that the cell is in now."""
         before = self._state()
-        for row in offer.valid:
+        for row in candidates.valid:
             started = time.perf_counter()
-            plan = self._picker.plan(offer.grasps[row])
+            plan = self._picker.plan(candidates.grasps[row])
             if isinstance(plan, Abstention):
                 continue
             planning = time.perf_counter() - started
             result = self._picker.execute(plan)
             yield replace(result, t_compute=planning + result.t_compute)
-            self._go_back(before)
+            self._restore(before)
 
     def _state(self) -> _State:
         return self._env.snapshot(), deepcopy(self._picker.failed)
 
-    def _go_back(self, state: _State) -> None:
+    def _restore(self, state: _State) -> None:
         snapshot, failed = state
         self._env.restore(snapshot)
         self._picker.failed = deepcopy(failed)
@@ -101,13 +101,13 @@ class HindsightPicker(CandidatePicker):
 
 @dataclass(frozen=True, kw_only=True)
 class HindsightTally:
-    """What came of decisions that were made with hindsight, abstentions left out.
+    """Decisions with hindsight, counted by their outcome; abstentions are left out.
 
     Attributes:
-        first: In how many the first attempt delivered.
-        another: In how many the first attempt failed and another one delivered.
-        none: In how many none delivered.
-        tries: Attempts made in all of them, those that were undone included.
+        first: Number of decisions in which the first attempt delivered.
+        another: Number of decisions in which the first attempt failed and another one delivered.
+        none: Number of decisions in which no attempt delivered.
+        tries: Number of attempts in all decisions, including those that were undone.
     """
 
     first: int
@@ -117,11 +117,11 @@ class HindsightTally:
 
     @property
     def decisions(self) -> int:
-        """How many there were."""
+        """Number of decisions."""
         return self.first + self.another + self.none
 
     def __str__(self) -> str:
-        """Say it in a sentence."""
+        """Describe the counts in a sentence."""
         return (
             f"of {self.decisions} decisions with hindsight, the first attempt delivered in {self.first}, only another "
             f"in {self.another}, none in {self.none}; {self.tries} attempts were tried"
@@ -140,7 +140,7 @@ def hindsight_tally(records: Sequence[BinRecord]) -> HindsightTally:
 
 
 def _kept(result: PickResult, tried: int, compute: float) -> PickResult:
-    """Return an attempt with the number of those that were made for it, and ``compute`` [s] more."""
+    """Return ``result`` with the number of attempts in its grasp, and ``compute`` [s] added to its ``t_compute``."""
     assert result.grasp is not None
     grasp = replace(result.grasp, features={**result.grasp.features, TRIED: float(tried)})
     return replace(result, grasp=grasp, t_compute=compute + result.t_compute)

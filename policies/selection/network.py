@@ -1,7 +1,7 @@
-"""A selector as a network: a score for each grasp on offer, and a value of all; rows may stand in any order.
+"""Network of a selector: a logit for each grasp candidate and a value of the state, whatever the order of rows.
 
-Shapes: B observations, K rows, F features on offer, C of them that are used, H hidden units, S numbers that
-sum up all rows.
+Shapes: B observations, K rows, F features of an observation, C of them that are used, H hidden units, S numbers that
+summarise all rows.
 """
 
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ from torch import Tensor, nn
 
 from policies.selection.features import FEATURES, column
 
-_NEVER = -1e8  # logit of a row that holds nothing
+_NEVER = -1e8  # logit of an empty row
 
 
 @dataclass(frozen=True, kw_only=True)
 class SelectorNetConfig:
     """Sizes of the network."""
 
-    features: tuple[str, ...] = tuple(FEATURES)  # columns that it uses of a row, by name
-    hidden: int = 64  # units of every layer; 0 scores each row by a weighted sum alone: logistic regression
-    context: bool = True  # whether a row's score depends on the other rows
+    features: tuple[str, ...] = tuple(FEATURES)  # names of the features that are used
+    hidden: int = 64  # units per layer; 0 is logistic regression, a weighted sum of the features
+    context: bool = True  # whether a row's logit depends on the other rows
 
     def __post_init__(self) -> None:
         if not self.features:
@@ -32,7 +32,7 @@ class SelectorNetConfig:
 
 
 class SelectorNet(nn.Module):
-    """An MLP over rows, masked mean and maximum as their context, an MLP over both."""
+    """An MLP per row, the masked mean and maximum over rows as context, and an MLP over both."""
 
     def __init__(self, config: SelectorNetConfig | None = None) -> None:
         super().__init__()
@@ -50,11 +50,11 @@ class SelectorNet(nn.Module):
         self.value = _head(2 * width, hidden)
 
     def forward(self, rows_BKF: Tensor, mask_BK: Tensor) -> tuple[Tensor, Tensor]:
-        """Return logits (B, K), of each row that holds a grasp, and values (B,).
+        """Return the logits (B, K) of the rows and the values (B,) of the states.
 
         Args:
-            rows_BKF: Features, anything where there is no grasp.
-            mask_BK: Not 0 where there is one.
+            rows_BKF: Features; those of empty rows have no effect.
+            mask_BK: Non-zero for rows that hold a candidate.
         """
         held_BK1 = (mask_BK > 0)[..., None]
         inner_BKH = self.rows(rows_BKF[..., self._columns])
@@ -74,7 +74,7 @@ def _head(width: int, hidden: int) -> nn.Module:
 
 
 def _summary(inner_BKH: Tensor, held_BK1: Tensor) -> Tensor:
-    """Return mean and maximum over the rows that hold a grasp, (B, 2 H); 0 where none does."""
+    """Return mean and maximum over the rows that hold a candidate, (B, 2 H); 0 if no row does."""
     kept = inner_BKH.masked_fill(~held_BK1, 0.0)
     count = held_BK1.sum(dim=1)
     mean = kept.sum(dim=1) / count.clamp(min=1)

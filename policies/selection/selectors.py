@@ -1,4 +1,4 @@
-"""Which grasp of those on offer: the heuristics, and the way to run any selector as a picker."""
+"""Selectors choose among grasp candidates: heuristics, trained networks, and a picker that asks either."""
 
 import time
 from collections.abc import Callable
@@ -21,27 +21,32 @@ from policies.selection.env import GraspSelectionEnv
 from policies.selection.features import RANKED, column
 
 SHIPPED = Path(__file__).resolve().parent / "shipped"
-_TIE = 1e-5  # what rounding to float32 does to a sum of features, and more; the first row wins a tie
+_TIE = 1e-5  # exceeds the rounding of a sum of float32 features; the first row wins a tie
 
 
 class Selector(Protocol):
-    """Chooses a row of ``BinPickSelect-v0``'s observation."""
+    """Chooses a row of an observation of ``BinPickSelect-v0``."""
 
     def select(self, observation: Observation, rng: np.random.Generator) -> int:
-        """Return a row whose mask is 1; there is one."""
+        """Return a row whose mask is 1.
+
+        Args:
+            observation: Features ``grasps`` (K, F) and ``mask`` (K,), which is 1 in at least one row.
+            rng: Source of random choices.
+        """
         ...
 
 
 class RandomSelector:
-    """Any row, each as likely."""
+    """Chooses uniformly among the candidates."""
 
     def select(self, observation: Observation, rng: np.random.Generator) -> int:
-        """Draw a row."""
+        """Draw a valid row."""
         return int(rng.choice(_valid(observation)))
 
 
 class HighestSelector:
-    """The part whose highest point is highest."""
+    """Chooses the part with the highest point."""
 
     def select(self, observation: Observation, rng: np.random.Generator) -> int:  # noqa: ARG002
         """Return the first row of that part."""
@@ -49,7 +54,7 @@ class HighestSelector:
 
 
 class BestScoreSelector:
-    """The part whose pose perception is surest of; the oracle is sure of all."""
+    """Chooses the part whose pose has the highest score; the oracle scores all parts alike."""
 
     def select(self, observation: Observation, rng: np.random.Generator) -> int:  # noqa: ARG002
         """Return the first row of that part."""
@@ -57,14 +62,18 @@ class BestScoreSelector:
 
 
 class WeightedSelector:
-    """The scripted picker's weighted sum, or another one: parts on which an attempt failed come last."""
+    """Chooses by a weighted sum of features, as the scripted picker does; parts with a failed attempt come last."""
 
     def __init__(self, weights: RankSettings | None = None) -> None:
-        """Keep the weights of ``weights``, the defaults if None; its other settings have no say here."""
+        """Keep the weights.
+
+        Args:
+            weights: Settings whose weights and penalties are used; the defaults if None.
+        """
         self._weights = weights or RankSettings()
 
     def select(self, observation: Observation, rng: np.random.Generator) -> int:  # noqa: ARG002
-        """Return the row of the largest sum."""
+        """Return the row with the largest sum."""
         total = np.zeros(len(observation["mask"]))
         for name in RANKED:
             sign, kind = (-1.0, "penalty") if name in ("covered", "buried") else (1.0, "weight")
@@ -73,20 +82,20 @@ class WeightedSelector:
 
 
 class LearnedSelector:
-    """A trained network's best row: the policy's likeliest action, or the grasp that is likeliest to be delivered."""
+    """Chooses by a trained network: PPO's likeliest action, or the grasp that the bandit predicts to deliver."""
 
     def __init__(self, path: Path) -> None:
         """Load a ``.safetensors`` file.
 
         Raises:
-            SelectorError: It does not hold a whole selector that was trained on these features.
+            SelectorError: The file does not hold a whole selector that was trained on these features.
         """
         from policies.selection.weights import load_selector_net  # torch, which the heuristics do without
 
         self._network = load_selector_net(path)
 
     def select(self, observation: Observation, rng: np.random.Generator) -> int:  # noqa: ARG002
-        """Return the row of the largest logit."""
+        """Return the row with the largest logit."""
         import torch
 
         with torch.no_grad():
@@ -114,10 +123,10 @@ def load_selector(spec: str) -> Selector:
     """Build the heuristic or load the trained selector that ``spec`` names.
 
     Args:
-        spec: Name of a heuristic, path to a ``.safetensors`` file, or the name of one of the shipped ones.
+        spec: Name of a heuristic or of a shipped selector, or path to a ``.safetensors`` file.
 
     Raises:
-        ValueError: There is none such.
+        ValueError: There is no such selector.
     """
     if spec in SELECTORS:
         return SELECTORS[spec]()
@@ -125,14 +134,14 @@ def load_selector(spec: str) -> Selector:
 
 
 def selector_path(spec: str, *others: str) -> Path:
-    """Return the file of a trained selector.
+    """Return the path of a trained selector.
 
     Args:
-        spec: Path to a ``.safetensors`` file, or the name of one of the shipped ones.
-        others: What else the caller would have taken; the error names it.
+        spec: Name of a shipped selector, or path to a ``.safetensors`` file.
+        others: Further names that the caller accepts, for the error's text.
 
     Raises:
-        ValueError: There is no such file; the text names those that there are.
+        ValueError: There is no such file; the text lists the known names.
     """
     for path in (Path(spec), SHIPPED / f"{spec}.safetensors"):
         if path.suffix == ".safetensors" and path.is_file():
@@ -143,7 +152,7 @@ def selector_path(spec: str, *others: str) -> Path:
 
 
 class SelectorPicker(CandidatePicker):
-    """A `policies.picking.episode.Picker` that asks a selector where the scripted picker takes its own first choice."""
+    """A `policies.picking.episode.Picker` whose grasps are chosen by a selector."""
 
     def __init__(
         self,
@@ -153,45 +162,45 @@ class SelectorPicker(CandidatePicker):
         *,
         per_part: int = PER_PART,
     ) -> None:
-        """Keep the cell.
+        """Build the picker.
 
         Args:
-            env: The unwrapped cell.
-            selector: Chooses.
-            picker: Ranks, plans and executes; a new one if None.
-            per_part: At most so many grasps of each part.
+            env: Unwrapped cell.
+            selector: Selector that chooses among the candidates.
+            picker: Picker that ranks, plans and executes; a new one if None.
+            per_part: Largest number of candidates on one part.
         """
         super().__init__(env, picker, per_part)
         self._selector = selector
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last bin; what the selector draws depends on the seed of the environment's reset alone."""
+        """Forget the last bin, and reseed the selector's random choices from the seed of the cell's reset alone."""
         super().reset()
         self._rng = np.random.default_rng([abs(self._env.np_random_seed or 0), 1])
 
     def pick(self) -> PickResult:
         """Make one decision on the last frame: an executed attempt, or an abstention."""
-        offer, offered = self._offer()
+        candidates, generation_time = self._timed_candidates()
         started = time.perf_counter()
-        plan = self._decide(offer)
-        compute = offered + time.perf_counter() - started
+        plan = self._decide(candidates)
+        compute = generation_time + time.perf_counter() - started
         if isinstance(plan, Abstention):
             return PickResult(abstention=plan, t_sense=T_SENSE, t_compute=compute, frame_id=self._env.frame_id)
         result = self._picker.execute(plan)
         return replace(result, t_compute=compute + result.t_compute)
 
-    def _decide(self, offer: GraspCandidates) -> Plan | Abstention:
-        while offer:
-            row = self._selector.select(offer.observation(), self._rng)
-            if row not in offer.valid:
-                raise ValueError(f"the selector chose row {row}, but only {offer.valid} hold a grasp")
-            plan = self._picker.plan(offer.grasps[row])
+    def _decide(self, candidates: GraspCandidates) -> Plan | Abstention:
+        while candidates:
+            row = self._selector.select(candidates.observation(), self._rng)
+            if row not in candidates.valid:
+                raise ValueError(f"the selector chose row {row}, but only {candidates.valid} hold a grasp")
+            plan = self._picker.plan(candidates.grasps[row])
             if isinstance(plan, Plan):
                 return plan
-            offer = offer.without(row)
-        assert offer.reason is not None
-        return offer.reason
+            candidates = candidates.without(row)
+        assert candidates.reason is not None
+        return candidates.reason
 
 
 def run_selector(
@@ -200,10 +209,10 @@ def run_selector(
     """Play one episode of ``BinPickSelect-v0`` and return it as `policies.picking.episode.run_bin` does.
 
     Args:
-        env: The unwrapped environment; its cell is reset with ``seed``.
-        selector: Chooses.
-        seed: Of the pile, the sensor noise and the selector's own draws.
-        on_pick: Called after each decision.
+        env: Unwrapped environment, whose cell is reset with ``seed``.
+        selector: Selector that chooses among the candidates.
+        seed: Seed of the pile, the sensor noise and the selector's random choices.
+        on_pick: Callback with the result of each decision.
     """
     picker = SelectorPicker(env.cell, selector, env.picker, per_part=env.per_part)
     return run_bin(env.cell, picker, seed, on_pick, max_failures=env.max_failures)
@@ -218,7 +227,7 @@ def _column(observation: Observation, name: str) -> Floats:
 
 
 def _first_best(observation: Observation, values: Floats) -> int:
-    """Return the first valid row of the (K,) largest value, ties included."""
+    """Return the first valid row whose value ties with the largest of the (K,) values."""
     valid = _valid(observation)
     best = values[valid].max()
     return int(valid[np.argmax(values[valid] >= best - _TIE)])

@@ -1,4 +1,4 @@
-"""Trained selectors on disk: safetensors files that also hold what made them, with a JSON of it beside for people."""
+"""Files of trained selectors: safetensors with a record of the training, and the record as JSON beside it."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -20,19 +20,19 @@ FORMAT = RecordFormat(kind="selector", version=1, remedy="train_selector makes s
 
 
 def save_selector(path: Path, network: SelectorNet, record: dict[str, Any]) -> None:
-    """Write ``path`` (safetensors), which holds the record too, and the record as JSON beside it, each in one piece.
+    """Write network and record to ``path``, and the record as JSON beside it; each file is whole or absent.
 
     Args:
-        path: Ends with ``.safetensors``.
-        network: On any device.
-        record: How it was trained: anything JSON holds.
+        path: File to write, with suffix ``.safetensors``.
+        network: Trained network on any device.
+        record: Facts about the training, as values that JSON can hold.
     """
     text = FORMAT.save_tensors(path, network.state_dict(), {"network": asdict(network.config), **record})
     write_atomically(path.with_suffix(".json"), text)
 
 
 def load_selector_record(path: Path) -> dict[str, Any]:
-    """Read what a ``.safetensors`` file says of its selector.
+    """Return the record in a ``.safetensors`` file.
 
     Raises:
         SelectorError: The file is missing, damaged, of another version, or not one of :func:`save_selector`.
@@ -44,8 +44,8 @@ def load_selector_net(path: Path) -> SelectorNet:
     """Return the network of a ``.safetensors`` file, in evaluation mode, on the CPU.
 
     Raises:
-        SelectorError: The file is missing or damaged, its weights do not fit the network that it describes, or it uses
-            features that there are no longer.
+        SelectorError: The file is missing or damaged, its weights do not fit the network in its record, or the network
+            uses features that no longer exist.
     """
     return FORMAT.load_tensors(path, _network_of)
 
@@ -53,7 +53,7 @@ def load_selector_net(path: Path) -> SelectorNet:
 def _network_of(record: dict[str, Any], tensors: dict[str, Tensor]) -> SelectorNet:
     values = record["network"]
     if gone := sorted(set(values["features"]) - set(FEATURES)):
-        raise ValueError(f"it was trained on features that there are not: {', '.join(gone)}")
+        raise ValueError(f"it was trained on features that do not exist: {', '.join(gone)}")
     network = SelectorNet(SelectorNetConfig(**{**values, "features": tuple(values["features"])}))
     network.load_state_dict(tensors)
     return network.eval()

@@ -1,4 +1,4 @@
-"""MaskablePPO's policy over `SelectorNet`: its logits are the actions', its value the state's, with nothing between."""
+"""MaskablePPO's policy over `SelectorNet`, whose logits and value are used as they are."""
 
 from typing import Any
 
@@ -14,20 +14,20 @@ from policies.selection.network import SelectorNet, SelectorNetConfig
 
 
 class SelectorExtractor(BaseFeaturesExtractor):
-    """Passes on K logits and the value, side by side."""
+    """Concatenates the network's K logits and its value."""
 
     def __init__(self, observation_space: spaces.Dict, net: SelectorNetConfig | None = None) -> None:
         super().__init__(observation_space, features_dim=ROWS + 1)
         self.network = SelectorNet(net)
 
     def forward(self, observations: dict[str, Tensor]) -> Tensor:
-        """Return (B, K + 1)."""
+        """Return (B, K + 1): the logits, then the value."""
         logits_BK, value_B = self.network(observations["grasps"], observations["mask"])
         return torch.cat([logits_BK, value_B[:, None]], dim=1)
 
 
 class SelectorPolicy(MaskableMultiInputActorCriticPolicy):
-    """Takes its extractor's columns as they are; a layer over them would tell rows apart by their place."""
+    """Uses the extractor's columns as logits and value; a layer over them would depend on the order of rows."""
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         fixed = {"features_extractor_class": SelectorExtractor, "net_arch": [], "ortho_init": False}
@@ -48,7 +48,7 @@ class SelectorPolicy(MaskableMultiInputActorCriticPolicy):
 
 
 class _Columns(nn.Module):
-    """Columns of what it is given, from ``first`` to before ``end``."""
+    """Selects the columns from ``first`` up to, but not including, ``end``."""
 
     def __init__(self, first: int, end: int) -> None:
         super().__init__()

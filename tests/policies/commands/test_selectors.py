@@ -15,7 +15,7 @@ from policies.commands import check_fast, evaluate_selector, fit_noise, train_se
 from policies.commands.command_line import parse
 from policies.grasping.outcomes import GraspOutcome
 from policies.selection import env, fast_agreement
-from policies.selection.fast_agreement import Pair
+from policies.selection.fast_agreement import PairedAttempt
 from policies.selection.selectors import load_selector
 
 FEW = ("--min-parts", "2", "--max-parts", "3")
@@ -62,7 +62,7 @@ def test_fast_and_full_are_compared(
 ) -> None:
     made: list[dict[str, Any]] = []
     monkeypatch.setattr(env, "GraspSelectionEnv", lambda **settings: made.append(settings))
-    pair = Pair(full=GraspOutcome.DELIVERED, fast=GraspOutcome.DELIVERED, seconds=(2.0, 1.0), shift=0.0)
+    pair = PairedAttempt(full=GraspOutcome.DELIVERED, fast=GraspOutcome.DELIVERED, seconds=(2.0, 1.0), shift=0.0)
     monkeypatch.setattr(fast_agreement, "paired_attempts", lambda full, fast, seed, count: iter([pair] * count))
     assert call(check_fast, "--attempts", 4, "--json", tmp_path / "pairs.json") == 0
     assert [settings["fast"] for settings in made] == [False, True]

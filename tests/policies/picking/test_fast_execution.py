@@ -11,7 +11,7 @@ from binpick_env.env import BinPickEnv
 from policies.grasping.outcomes import GraspOutcome, PickResult
 from policies.selection.candidate_generator import CandidateGenerator
 from policies.selection.env import GraspSelectionEnv
-from policies.selection.fast_agreement import Pair, agreement_table, paired_attempts
+from policies.selection.fast_agreement import PairedAttempt, agreement_table, paired_attempts
 from tests.policies.hand_cell import HandCell
 from tests.policies.selection_cell import SMALL, choices, lay, step
 
@@ -168,13 +168,13 @@ def test_a_state_in_the_other_mode_is_the_same(full: GraspSelectionEnv, fast: Gr
     fast.cell.restore(full.cell.snapshot())
     np.testing.assert_array_equal(full.cell.simulation.part_poses(), fast.cell.simulation.part_poses())
     assert fast.cell.remaining == full.cell.remaining
-    candidates = [CandidateGenerator(env.cell, env.picker).offer() for env in (full, fast)]
+    candidates = [CandidateGenerator(env.cell, env.picker).generate() for env in (full, fast)]
     np.testing.assert_array_equal(candidates[0].rows, candidates[1].rows)
 
 
 def test_the_agreement_is_counted() -> None:
-    def pair(one: GraspOutcome, other: GraspOutcome) -> Pair:
-        return Pair(full=one, fast=other, seconds=(2.0, 1.0), shift=0.001)
+    def pair(one: GraspOutcome, other: GraspOutcome) -> PairedAttempt:
+        return PairedAttempt(full=one, fast=other, seconds=(2.0, 1.0), shift=0.001)
 
     D, M, S = GraspOutcome.DELIVERED, GraspOutcome.MISSED, GraspOutcome.SLIPPED
     text = agreement_table([pair(D, D), pair(M, S), pair(D, M)])

@@ -1,4 +1,4 @@
-"""``BinPickSelect-v0``: what is offered, what a step does, and when an episode ends."""
+"""``BinPickSelect-v0``: which candidates there are, what a step does, and when an episode ends."""
 
 import re
 from collections.abc import Iterator
@@ -37,12 +37,12 @@ def env(shared_env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> Grasp
     return shared_env
 
 
-# --- what is on offer ------------------------------------------------------------------------------------------------
+# --- candidates ------------------------------------------------------------------------------------------------------
 
 
-def test_what_is_offered_can_be_done_and_the_first_row_is_the_scripted_choice(env: GraspSelectionEnv) -> None:
+def test_candidates_can_be_executed_and_the_first_row_is_the_scripted_choice(env: GraspSelectionEnv) -> None:
     lay(env, (0.1, 0.0), (-0.1, 0.03), (0.0, -0.05))
-    grasps = env._offer.grasps
+    grasps = env._candidates.grasps
     assert choices(env) == list(range(len(grasps)))
     assert sorted(grasp.candidate for grasp in grasps) == [0, 0, 0, 1, 1, 1, 2, 2, 2]  # per_part is 3
     assert sum(isinstance(env.picker.plan(grasp), Plan) for grasp in grasps) >= len(grasps) - 1
@@ -62,7 +62,7 @@ def test_rows_stand_in_order_and_empty_ones_are_zero(env: GraspSelectionEnv) -> 
 
 
 def test_the_fingers_clearances_agree_with_the_rankings(env: GraspSelectionEnv) -> None:
-    """Measured twice, by two kernels: at the chosen opening, and while the widest clear opening was looked for."""
+    """Measured twice, by two kernels: at the chosen opening, and during the search for the widest clear opening."""
     for seed in range(3):
         observation, _ = env.reset(seed=seed, options={"num_parts": 3})
         rows = observation["grasps"][observation["mask"] == 1]
@@ -70,18 +70,18 @@ def test_the_fingers_clearances_agree_with_the_rankings(env: GraspSelectionEnv) 
         np.testing.assert_allclose(np.clip(fingers * 0.02 / 0.005, 0, 1), rows[:, column("clearance")], atol=1e-4)
 
 
-def test_a_bin_out_of_reach_offers_nothing() -> None:
+def test_a_bin_out_of_reach_has_no_candidate() -> None:
     env = GraspSelectionEnv(config=CellConfig(bin=BinConfig(position=(1.4, 0.0))), **SMALL)
     lay(env, (0.0, 0.0))
-    assert (choices(env), env._offer.reason) == ([], Abstention.IK_INFEASIBLE)
+    assert (choices(env), env._candidates.reason) == ([], Abstention.IK_INFEASIBLE)
     env.close()
 
 
 def test_a_pit_has_no_clear_approach(env: GraspSelectionEnv) -> None:
     lay(env, (0.0, 0.0))
     HandCell(env.cell, env.picker).see(np.array(0.0))
-    env._write_offer()
-    assert (choices(env), env._offer.reason) == ([], Abstention.NO_CLEAR_APPROACH)
+    env._generate()
+    assert (choices(env), env._candidates.reason) == ([], Abstention.NO_CLEAR_APPROACH)
 
 
 # --- steps -----------------------------------------------------------------------------------------------------------
@@ -124,7 +124,7 @@ def test_an_action_out_of_the_space_is_refused(env: GraspSelectionEnv, action: A
 
 def test_an_empty_row_is_an_abstention_and_a_failure(env: GraspSelectionEnv) -> None:
     lay(env, (0.0, 0.0))
-    before, frame_id, time = env._offer.observation(), env.cell.frame_id, env.cell.simulation.time
+    before, frame_id, time = env._candidates.observation(), env.cell.frame_id, env.cell.simulation.time
     observation, reward, terminated, _, info = step(env, ROWS - 1)
     assert (reward, terminated, info["outcome"]) == (-0.1, False, ABSTAINED)
     assert_same(observation, before)  # nothing moves, and no other frame is taken
@@ -140,14 +140,14 @@ def test_after_a_miss_the_grasp_is_gone_and_its_part_comes_last_as_a_suspect(
     lie = Shifted((0.0, 0.06, 0.06), parts=(0,))  # much higher: all its grasps rank first
     monkeypatch.setattr(env.cell, "_perceiver", lie)
     lay(env, (0.05, -0.03), (-0.1, 0.03))
-    tried = env._offer.grasps[0]
-    assert [grasp.candidate for grasp in env._offer.grasps[:3]] == [tried.candidate] * 3
+    tried = env._candidates.grasps[0]
+    assert [grasp.candidate for grasp in env._candidates.grasps[:3]] == [tried.candidate] * 3
     observation, reward, terminated, _, info = step(env, 0)
     assert (reward, terminated, info["outcome"]) == (-0.1, False, "missed")
-    suspect = observation["grasps"][: len(env._offer.grasps), column("suspect")]
+    suspect = observation["grasps"][: len(env._candidates.grasps), column("suspect")]
     assert suspect.tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
-    tips = np.stack([grasp.T_world_grasp[:3, 3] for grasp in env._offer.grasps])
-    turns = np.stack([grasp.T_world_grasp[:3, 2] for grasp in env._offer.grasps]) @ tried.T_world_grasp[:3, 2]
+    tips = np.stack([grasp.T_world_grasp[:3, 3] for grasp in env._candidates.grasps])
+    turns = np.stack([grasp.T_world_grasp[:3, 2] for grasp in env._candidates.grasps]) @ tried.T_world_grasp[:3, 2]
     near = np.linalg.norm(tips - tried.T_world_grasp[:3, 3], axis=1) < 0.001
     assert not np.any(near & (turns > 0.999))
 
@@ -200,79 +200,79 @@ def test_the_cells_time_truncates(env: GraspSelectionEnv, monkeypatch: pytest.Mo
 
 
 @dataclass
-class Blinking:
-    """The oracle, with its eyes shut on all looks but those listed; and it counts them."""
+class Intermittent:
+    """The oracle on the listed frames and no part on the others; frames are counted."""
 
-    open_on: tuple[int, ...]
-    looks: int = 0
+    frames_with_parts: tuple[int, ...]
+    count: int = 0
     frames: list[Floats] = field(default_factory=list)
 
     def perceive(self, view: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:
-        self.looks += 1
+        self.count += 1
         self.frames.append(view.capture.frame.depth)
-        return OraclePerceiver().perceive(view, rng) if self.looks in self.open_on else ObservedCandidates()
+        return OraclePerceiver().perceive(view, rng) if self.count in self.frames_with_parts else ObservedCandidates()
 
 
-def test_nothing_seen_earns_one_more_look_with_fresh_noise(
+def test_a_frame_without_parts_is_followed_by_one_with_fresh_noise(
     env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    eyes = Blinking(open_on=(2,))
-    monkeypatch.setattr(env.cell, "_perceiver", eyes)
+    perceiver = Intermittent(frames_with_parts=(2,))
+    monkeypatch.setattr(env.cell, "_perceiver", perceiver)
     observation, info = env.reset(seed=1)
-    assert (eyes.looks, info["frame_id"]) == (2, 1)
+    assert (perceiver.count, info["frame_id"]) == (2, 1)
     assert observation["mask"].any()
-    assert np.any(eyes.frames[0] != eyes.frames[1])
+    assert np.any(perceiver.frames[0] != perceiver.frames[1])
     unexecuted(env, monkeypatch, MISSED)
     assert step(env, 0)[4]["t_sense"] == 1.0  # both frames were for this decision
-    assert eyes.looks == 2  # no motion, no frame: a frame is processed once
+    assert perceiver.count == 2  # no motion, no frame: a frame is processed once
 
 
-def test_a_fresh_bin_that_offers_nothing_ends_with_the_first_step(
+def test_a_fresh_bin_without_candidates_ends_with_the_first_step(
     env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    eyes = Blinking(open_on=())
-    monkeypatch.setattr(env.cell, "_perceiver", eyes)
+    perceiver = Intermittent(frames_with_parts=())
+    monkeypatch.setattr(env.cell, "_perceiver", perceiver)
     observation, info = env.reset(seed=1)
-    assert eyes.looks == 2
+    assert perceiver.count == 2
     assert not observation["mask"].any()
     assert not observation["grasps"].any()
     before = env.cell.simulation.time
     observation, reward, terminated, truncated, info = step(env, 7)
     assert (reward, terminated, truncated) == (0.0, True, False)
     assert (info["termination"], info["outcome"], info["t_sense"]) == ("abstained", "", 1.0)
-    assert (env.cell.simulation.time, eyes.looks) == (before, 2)
+    assert (env.cell.simulation.time, perceiver.count) == (before, 2)
 
 
-def test_an_attempt_after_which_nothing_is_seen_ends_the_bin_after_one_more_look(
+def test_two_frames_without_parts_after_an_attempt_end_the_bin(
     env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lay(env, (0.05, 0.0), (-0.08, 0.03))
-    eyes = Blinking(open_on=())
-    monkeypatch.setattr(env.cell, "_perceiver", eyes)
+    perceiver = Intermittent(frames_with_parts=())
+    monkeypatch.setattr(env.cell, "_perceiver", perceiver)
     observation, reward, terminated, _, info = step(env, 0)
     assert (reward, terminated, info["termination"]) == (1.0, True, "abstained")
-    assert (eyes.looks, info["t_sense"], info["remaining"]) == (2, 1.5, 1)
+    assert (perceiver.count, info["t_sense"], info["remaining"]) == (2, 1.5, 1)
     assert not observation["mask"].any()
 
 
-def test_each_attempt_earns_its_own_look(env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> None:
-    eyes = Blinking(open_on=(2, 4))
+def test_each_attempt_may_have_a_second_frame(env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    perceiver = Intermittent(frames_with_parts=(2, 4))
     lay(env, (0.05, 0.0), (-0.08, 0.03))
-    monkeypatch.setattr(env.cell, "_perceiver", eyes)
+    monkeypatch.setattr(env.cell, "_perceiver", perceiver)
     *_, terminated, _, _ = step(env, 0)
-    assert (terminated, eyes.looks) == (False, 2)
+    assert (terminated, perceiver.count) == (False, 2)
     assert step(env, 0)[4]["termination"] == "empty"
-    assert eyes.looks == 3
+    assert perceiver.count == 3
 
 
-def test_a_blocked_path_closes_its_row_and_is_no_failure(
+def test_a_blocked_path_masks_its_row_and_is_no_failure(
     env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lay(env, (0.0, 0.0))
     rows = choices(env)
     assert len(rows) == 3
-    looks = Blinking(open_on=tuple(range(10)))
-    monkeypatch.setattr(env.cell, "_perceiver", looks)
+    perceiver = Intermittent(frames_with_parts=tuple(range(10)))
+    monkeypatch.setattr(env.cell, "_perceiver", perceiver)
     monkeypatch.setattr(env.picker, "plan", lambda grasp: Abstention.NO_CLEAR_APPROACH)
     for left in ([0, 2], [0]):
         row = next(row for row in choices(env) if row not in left)
@@ -280,8 +280,8 @@ def test_a_blocked_path_closes_its_row_and_is_no_failure(
         assert (reward, terminated, info["outcome"]) == (-0.1, False, "no_clear_approach")
         assert choices(env) == left
         assert not observation["grasps"][row].any()
-    assert looks.looks == 0
-    assert step(env, 0)[2] is False  # the last one: one more look, which offers them again
-    assert (choices(env), looks.looks) == (rows, 1)
-    assert [step(env, row)[2] for row in rows] == [False, False, True]  # and no second one
-    assert looks.looks == 1
+    assert perceiver.count == 0
+    assert step(env, 0)[2] is False  # the last one: a second frame, which has them again
+    assert (choices(env), perceiver.count) == (rows, 1)
+    assert [step(env, row)[2] for row in rows] == [False, False, True]  # and no third one
+    assert perceiver.count == 1

@@ -15,10 +15,10 @@ from policies.evaluation.records import BinRecord
 from policies.selection.evaluation import (
     compare_selectors,
     evaluate_selectors,
-    save_standings,
+    save_selector_results,
     selector_cell,
     selector_names,
-    standings_table,
+    selector_table,
 )
 from policies.selection.hindsight import TRIED, HindsightPicker
 from policies.selection.network import SelectorNet, SelectorNetConfig
@@ -88,17 +88,17 @@ def test_the_comparison_is_with_the_best_heuristic_and_paired(tmp_path: Path) ->
         "weighted": [scored(r, n) for r, n in zip(base, (4, 8, 5, 7), strict=True)],
         "ours-1": [scored(r, n) for r, n in zip(base, (5, 9, 6, 8), strict=True)],  # one more in every bin
     }
-    best, standings = compare_selectors(records)
+    best, results = compare_selectors(records)
     assert best == "weighted"
-    assert standings["weighted"].dr_gap is None
-    assert standings["ours-1"].dr_gap == pytest.approx((0.1, 0.1, 0.1))
-    assert standings["random"].dr_gap == pytest.approx((-0.3, -0.3, -0.3))
-    assert standings["ours-1"].gsr_gap == pytest.approx((0.0, 0.0, 0.0))
-    assert standings["ours-1"].dr.value == pytest.approx(0.7)
-    text = standings_table(best, standings)
+    assert results["weighted"].dr_gap is None
+    assert results["ours-1"].dr_gap == pytest.approx((0.1, 0.1, 0.1))
+    assert results["random"].dr_gap == pytest.approx((-0.3, -0.3, -0.3))
+    assert results["ours-1"].gsr_gap == pytest.approx((0.0, 0.0, 0.0))
+    assert results["ours-1"].dr.value == pytest.approx(0.7)
+    text = selector_table(best, results)
     assert [line.split()[0] for line in text.splitlines()[1:4]] == ["ours-1", "weighted", "random"]
     assert "+10.0 (+10.0 to +10.0)" in text
-    save_standings(tmp_path / "s.json", CONFIG, best, standings, records)
+    save_selector_results(tmp_path / "s.json", CONFIG, best, results, records)
     kept = json.loads((tmp_path / "s.json").read_text())
     assert kept["best_heuristic"] == "weighted"
     assert kept["selectors"]["ours-1"]["dr_gap"] == pytest.approx([0.1, 0.1, 0.1])
@@ -120,21 +120,21 @@ def test_hindsight_is_a_bound_and_no_heuristic(tmp_path: Path) -> None:
         "ours-1": [scored(r, n) for r, n in zip(base["random"], (5, 6, 7), strict=True)],
         "hindsight": [scored(with_tries(r, 1, 3), n) for r, n in zip(base["hindsight"], (8, 9, 10), strict=True)],
     }
-    best, standings = compare_selectors(records)
+    best, results = compare_selectors(records)
     assert best == "weighted"
-    reached = {name: own.reached for name, own in standings.items()}
+    reached = {name: own.reached for name, own in results.items()}
     assert reached == pytest.approx({"random": -0.5, "weighted": 0.0, "ours-1": 0.25, "hindsight": 1.0})
-    tally = standings["hindsight"].tally
+    tally = results["hindsight"].tally
     assert tally is not None
     attempts = [record.attempts for record in records["hindsight"]]
     assert tally.tries == sum(len(own) for own in attempts) + 2 * 3
-    text = standings_table(best, standings)
+    text = selector_table(best, results)
     lines = {line.split()[0]: line for line in text.splitlines()}
     assert lines["selector"].endswith("of the bound")
     assert lines["hindsight"].startswith("hindsight (bound)")
     assert [lines[name].split()[-2:] for name in ("ours-1", "random")] == [["25", "%"], ["-50", "%"]]
     assert text.endswith(str(tally))
-    save_standings(tmp_path / "s.json", CONFIG, best, standings, records)
+    save_selector_results(tmp_path / "s.json", CONFIG, best, results, records)
     kept = json.loads((tmp_path / "s.json").read_text())
     assert kept["best_heuristic"] == "weighted"
     assert kept["selectors"]["ours-1"]["reached"] == pytest.approx(0.25)
@@ -145,13 +145,13 @@ def test_without_a_gain_there_is_no_share(tmp_path: Path) -> None:
     own = evaluated(tmp_path, 2, ("random",))["random"]
     for gained in ((8, 8), (10, 8), (10, 7)):  # nothing, or what chance may have gained
         seen = [scored(with_tries(r), n) for r, n in zip(own, gained, strict=True)]
-        best, standings = compare_selectors({"random": [scored(r, 8) for r in own], "hindsight": seen})
-        assert [each.reached for each in standings.values()] == [None, None]
-        rows = standings_table(best, standings).splitlines()[1:3]
+        best, results = compare_selectors({"random": [scored(r, 8) for r in own], "hindsight": seen})
+        assert [each.reached for each in results.values()] == [None, None]
+        rows = selector_table(best, results).splitlines()[1:3]
         assert not any(row.rstrip().endswith("%") for row in rows)
-    best, standings = compare_selectors({"random": own})
-    assert standings["random"].reached is None
-    assert "bound" not in standings_table(best, standings)
+    best, results = compare_selectors({"random": own})
+    assert results["random"].reached is None
+    assert "bound" not in selector_table(best, results)
     with pytest.raises(ValueError, match="a heuristic is needed to compare with"):
         compare_selectors({"hindsight": [with_tries(r) for r in own]})
 

@@ -1,4 +1,4 @@
-"""Hindsight: every row on offer from one state, one attempt kept, nothing left of the others."""
+"""Hindsight: candidates are attempted from one state, one attempt is kept, nothing is left of the others."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -40,8 +40,8 @@ def state(cell: HandCell) -> tuple[Any, ...]:
 
 
 def by_hand(cell: HandCell, row: int) -> PickResult:
-    """Attempt a row on offer."""
-    plan = cell.picker.plan(CandidateGenerator(cell.env, cell.picker, 1).offer().grasps[row])
+    """Attempt the candidate in ``row``."""
+    plan = cell.picker.plan(CandidateGenerator(cell.env, cell.picker, 1).generate().grasps[row])
     assert isinstance(plan, Plan)
     return cell.picker.execute(plan)
 
@@ -119,7 +119,7 @@ def test_a_delivering_first_row_is_what_the_weighted_selector_takes(tees: HandCe
 def test_rows_without_a_way_are_no_attempts(tees: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
     tees.lay(tees.flat(0.08, 0.0), tees.flat(-0.08, 0.02))
     picker = HindsightPicker(tees.env, tees.picker, per_part=1, most=1)
-    second, real = CandidateGenerator(tees.env, tees.picker, 1).offer().grasps[1], tees.picker.plan
+    second, real = CandidateGenerator(tees.env, tees.picker, 1).generate().grasps[1], tees.picker.plan
     with monkeypatch.context() as patch:
         patch.setattr(tees.picker, "plan", lambda grasp: Abstention.NO_CLEAR_APPROACH)
         blocked = picker.pick()
@@ -135,7 +135,7 @@ def test_rows_without_a_way_are_no_attempts(tees: HandCell, monkeypatch: pytest.
     assert (result.outcome, tried(result)) == (GraspOutcome.DELIVERED, 1)
 
 
-def test_nothing_on_offer_is_an_abstention(tees: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_candidate_is_an_abstention(tees: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
     lie(monkeypatch, tees, Blind())
     tees.lay(tees.flat())
     result = HindsightPicker(tees.env, tees.picker).pick()

@@ -102,7 +102,7 @@ def test_files_of_something_else_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SelectorError, match="holds no whole selector"):
         load_selector_net(path)
     save_selector(path, SelectorNet(), {"network": {"features": ["x", "colour"]}})
-    with pytest.raises(SelectorError, match="it was trained on features that there are not: colour"):
+    with pytest.raises(SelectorError, match="it was trained on features that do not exist: colour"):
         load_selector_net(path)
     save_selector(path, SelectorNet(), {"network": {"features": list(FEATURES), "hidden": 3}})
     with pytest.raises(SelectorError, match=r"holds no whole selector \(Error\(s\) in loading state_dict"):

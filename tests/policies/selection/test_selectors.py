@@ -94,14 +94,14 @@ def test_selectors_have_names() -> None:
         make_selector("best")
 
 
-def test_an_offer_without_its_last_row_tells_why() -> None:
+def test_candidates_without_their_last_row_tell_why() -> None:
     mask = np.arange(ROWS) < 2
     one = GraspCandidates(rows=np.ones((ROWS, len(FEATURES)), np.float32), mask=mask, reason=None).without(0)
     assert (one.valid, one.reason, bool(one)) == ([1], None, True)
     assert not one.rows[0].any()
     none = one.without(1)
     assert (none.valid, none.reason, bool(none)) == ([], Abstention.NO_CLEAR_APPROACH, False)
-    assert mask.sum() == 2  # the first offer is as it was
+    assert mask.sum() == 2  # the first candidates are as they were
 
 
 # --- whole bins ------------------------------------------------------------------------------------------------------
@@ -197,9 +197,7 @@ class Nothing:
         return ObservedCandidates()
 
 
-def test_nothing_on_offer_is_an_abstention_for_its_reason(
-    env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_candidate_is_an_abstention_for_its_reason(env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     env.cell.reset(seed=31, options={"num_parts": 1})
     picker = SelectorPicker(env.cell, HighestSelector(), env.picker)
     with monkeypatch.context() as patch:
