@@ -4,10 +4,10 @@ import hashlib
 import json
 import logging
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from binpick_env.cell.simulation import Simulation
 from binpick_env.config import CameraConfig, CellConfig, SensorChoice, SensorPreset
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
-from binpick_env.parts import CATALOGUE, Part, Unit, load_part
+from binpick_env.options import CellOptions
+from binpick_env.parts import CATALOGUE, Part, Unit
 from binpick_env.scenes.clutter import visible_fractions
 from perception.boundary import extract_boundary
 from perception.geometry import Floats, invert_transform, make_transform, rotation_about, transform_point_each
@@ -28,6 +29,7 @@ from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
 
 _log = logging.getLogger(__name__)
+_NEWER_FIELDS = {"symmetry": "detect", "density": None, "bin": None, "friction": None}  # and their defaults
 MIXTURE: dict[SensorPreset, float] = {
     "good": 0.7,
     "harsh": 0.2,
@@ -47,6 +49,10 @@ class SceneConfig:
         sensor: Preset of the depth sensor's noise; "mixed" draws one for each scene, mostly ``good``.
         jitter: Whether camera pose and light are random; otherwise they are the cell's nominal ones.
         camera: Image size, focal length, distance and rendering backend of the camera.
+        symmetry: Whether the rotational symmetry of a mesh file is looked for; "none" ignores it.
+        density: Density of the part [kg/m^3]; the catalogue's, or aluminium's for a file, by default.
+        bin: Length, width and height inside the bin [m]; those of the standard bin by default.
+        friction: Sliding friction coefficient of parts, bin and tray; the cell's own by default.
     """
 
     part: str = "tee"
@@ -56,6 +62,10 @@ class SceneConfig:
     sensor: SensorChoice = "good"
     jitter: bool = True
     camera: CameraConfig = field(default_factory=CameraConfig)
+    symmetry: Literal["detect", "none"] = "detect"
+    density: float | None = None
+    bin: tuple[float, float, float] | None = None
+    friction: float | None = None
 
     def __post_init__(self) -> None:
         low, high = self.num_parts
@@ -65,6 +75,23 @@ class SceneConfig:
             raise ValueError(f"seed must not be negative, got {self.seed}")
         if self.sensor not in (*PRESETS, "mixed"):
             raise ValueError(f"sensor must be one of {', '.join(PRESETS)}, mixed, got {self.sensor!r}")
+        self.options()
+
+    def options(self) -> CellOptions:
+        """Return part, bin and friction as options of a cell, whose sensor and image are the default ones."""
+        return CellOptions(
+            part=self.part,
+            unit=self.unit,
+            symmetry=self.symmetry,
+            density=self.density,
+            bin=self.bin,
+            camera_distance=self.camera.distance,
+            friction=self.friction,
+        )
+
+    def cell(self) -> CellConfig:
+        """Return the cell that the scenes are captured in."""
+        return replace(self.options().cell(), camera=self.camera)
 
 
 class CapturedScene(NamedTuple):
@@ -85,8 +112,8 @@ class _SceneSetup:
 
 @lru_cache(maxsize=1)
 def _scene_setup(config: SceneConfig) -> _SceneSetup:
-    part = load_part(config.part, unit=config.unit)
-    simulation = Simulation(CellConfig(camera=config.camera), part, max(config.num_parts[1], 1))
+    part = config.options().load_part()
+    simulation = Simulation(config.cell(), part, max(config.num_parts[1], 1))
     workspace = simulation.config.bin.workspace()
     camera = DepthCamera(simulation.model, config.camera, workspace, simulation.part_of_geom, threads=1)
     return _SceneSetup(part, simulation, camera)
@@ -174,7 +201,7 @@ def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int 
     """
     if count < 1 or workers < 1:
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
-    load_part(config.part, unit=config.unit)  # before the folder gets a configuration
+    config.options().load_part()  # before the folder gets a configuration
     ensure_folder_config(config, folder)
     missing = []
     for index in range(count):
@@ -191,8 +218,14 @@ def ensure_folder_config(config: SceneConfig, folder: Path) -> None:
 
 
 def scene_settings(config: SceneConfig) -> dict[str, Any]:
-    """Return the configuration as JSON types, with the SHA-256 of a mesh file."""
+    """Return the configuration as JSON types, with the SHA-256 of a mesh file.
+
+    Newer fields are left out where they have their defaults, so that folders of older versions can be resumed.
+    """
     values: dict[str, Any] = json.loads(json_text(asdict(config)))
+    for name, default in _NEWER_FIELDS.items():
+        if values[name] == default:
+            del values[name]
     if config.part not in CATALOGUE:
         values["file"] = hashlib.sha256(Path(config.part).read_bytes()).hexdigest()
     return values

@@ -31,11 +31,7 @@ class SceneArguments:
         Raises:
             ValueError: One of them has no meaning.
         """
-        return CellOptions(**self._shared())
-
-    def _shared(self) -> dict[str, Any]:
-        names = {field.name for field in fields(self)} & set(CellOptions.__dataclass_fields__)
-        return {name: getattr(self, name) for name in names}
+        return CellOptions(**{field.name: getattr(self, field.name) for field in fields(SceneArguments)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +42,22 @@ class CellArguments(SceneArguments):
     sensor: SensorPreset = "good"  # noise of the depth camera
     hand_eye_mm: float = 0.0  # error of the camera's reported position, standard deviation per axis [mm]
 
+    def options(self) -> CellOptions:
+        """Return the options of the cell.
+
+        Raises:
+            ValueError: One of them has no meaning.
+        """
+        return CellOptions(**{field.name: getattr(self, field.name) for field in fields(CellArguments)})
+
 
 def evaluated(options: CellOptions) -> dict[str, Any]:
     """Return options as the fields of an `EvaluationConfig`, which has the camera as a whole."""
     names = ("part", "unit", "symmetry", "density", "bin", "jaw", "sensor", "friction")
+    return {**{name: getattr(options, name) for name in names}, "camera": options.cell().camera}
+
+
+def scenes_of(options: CellOptions) -> dict[str, Any]:
+    """Return options as the fields of a `SceneConfig`, which has the camera as a whole."""
+    names = ("part", "unit", "symmetry", "density", "bin", "friction")
     return {**{name: getattr(options, name) for name in names}, "camera": options.cell().camera}

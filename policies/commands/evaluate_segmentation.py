@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binpick_env.config import Backend, CameraConfig, SensorPreset
+from binpick_env.config import SensorPreset
 from binpick_env.evaluation.choices import SegmentationKind
-from binpick_env.parts.unit import Unit
+from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
@@ -16,15 +16,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(SceneArguments):
     """Segment scenes that no training has seen, and print how well it went.
 
     Every scene is kept as it is finished: the same command again goes on where it was stopped. With --ablation, the
     rows of the paper's table 2 are trained first, all with the same small budget, and printed one below the other.
     """
 
-    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
-    unit: Unit | None = None  # of a file's coordinates; metres or millimetres, whichever is plausible, unless given
     count: int = 100  # scenes
     seed: int = 7  # scene i's own seed follows from this and i alone; not one that was trained with
     weights: Path | None = None  # a .safetensors file; those found for the part unless given
@@ -36,9 +34,6 @@ class Arguments:
     workers: int = 2  # processes, each on one core; 1 computes in this one on all cores: so time it
     min_parts: int = 20  # smallest fill of a bin
     max_parts: int = 30  # largest fill
-    width: int = 1280  # of the camera's image [px]
-    height: int = 960  # [px]
-    backend: Backend = CameraConfig().backend  # what renders the camera's frames
     fresh: bool = False  # compute every scene again, those that are there already too
     out: Path | None = None  # folder of the results; runs/segmentation-eval-PART-SEED unless given
     json: Path | None = None  # where to write the numbers; results.json in the folder unless given
@@ -60,13 +55,11 @@ class Arguments:
         from binpick_env.scenes.synthesis import SceneConfig
 
         return SceneConfig(
-            part=self.part,
-            unit=self.unit,
+            **scenes_of(self.options()),
             seed=self.seed,
             num_parts=(self.min_parts, self.max_parts),
             sensor=self.sensor,
             jitter=self.jitter,
-            camera=CameraConfig(width=self.width, height=self.height, backend=self.backend),
         )
 
     def config(self) -> "EvaluationConfig":

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binpick_env.config import Backend, CameraConfig, SensorChoice
-from binpick_env.parts.unit import Unit
+from binpick_env.config import SensorChoice
+from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
@@ -14,14 +14,12 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(SceneArguments):
     """Drop piles of parts, look at them and write boundary points with their labels, a compressed file a scene.
 
     The same command again goes on where it was stopped; a larger --count adds to what is there.
     """
 
-    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
-    unit: Unit | None = None  # of a file's coordinates; metres or millimetres, whichever is plausible, unless given
     count: int = 1000  # scenes
     seed: int = 0  # scene i's own seed follows from this and i alone; test with another one than you train with
     out: Path | None = None  # folder of the scenes; runs/scenes-PART-SEED unless given
@@ -30,9 +28,6 @@ class Arguments:
     jitter: bool = True  # vary the camera's place and the light from scene to scene
     min_parts: int = 20  # smallest fill of a bin
     max_parts: int = 30  # largest fill
-    width: int = 1280  # of the camera's image [px]
-    height: int = 960  # [px]
-    backend: Backend = CameraConfig().backend  # what renders the camera's frames
     json: Path | None = None  # where to write what was made: folder, count, seconds
 
     def folder(self) -> Path:
@@ -44,13 +39,11 @@ class Arguments:
         from binpick_env.scenes.synthesis import SceneConfig
 
         return SceneConfig(
-            part=self.part,
-            unit=self.unit,
+            **scenes_of(self.options()),
             seed=self.seed,
             num_parts=(self.min_parts, self.max_parts),
             sensor=self.sensor,
             jitter=self.jitter,
-            camera=CameraConfig(width=self.width, height=self.height, backend=self.backend),
         )
 
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from binpick_env.config import CellConfig
 from binpick_env.evaluation.pose.method import PoseMethod, PoseMethodConfig, pose_method
 from binpick_env.evaluation.pose.record import STAGES, TRIALS, VERDICT, VERDICT_COLUMNS, PoseRecord
 from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, require_unseen
@@ -58,7 +57,7 @@ class PoseEvaluationConfig:
 
     def load(self) -> PoseMethod:
         """Return the method with the models of the part in the bins."""
-        return pose_method(self.method, self.scenes.part, self.scenes.unit)
+        return pose_method(self.method, self.scenes.options())
 
     def whole_part_points(self) -> float:
         """Return P, the number of boundary points of a whole part, times its depth [m]."""
@@ -176,7 +175,7 @@ def evaluate_pose_scene(config: PoseEvaluationConfig, index: int, threads: int =
 
 def _process_frame(config: PoseEvaluationConfig, method: PoseMethod, captured: CapturedScene) -> _FrameResult:
     """Segment a frame and estimate its poses, and measure the time of each stage."""
-    frame, workspace = captured.capture.frame, CellConfig().bin.workspace()
+    frame, workspace = captured.capture.frame, config.scenes.cell().bin.workspace()
     clock = [time.perf_counter()]
     boundary = extract_boundary(frame, workspace)
     clock.append(time.perf_counter())

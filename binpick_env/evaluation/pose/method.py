@@ -6,12 +6,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol, get_args
 
-from binpick_env.config import CellConfig
 from binpick_env.evaluation.choices import PosePerception
 from binpick_env.evaluation.segmentation.method import MethodConfig, segmenter
-from binpick_env.parts import Unit, load_part
+from binpick_env.options import CellOptions
 from perception.boundary import BoundaryCloud
-from perception.frame import Frame
+from perception.frame import Frame, Workspace
 from perception.instance import Instance, true_instances
 from perception.part import PartModel
 from perception.pose.estimator import PoseEstimator
@@ -86,7 +85,7 @@ class Estimator(Protocol):
 class PoseMethod:
     """Pose estimation method with the part's models built and the network loaded."""
 
-    def __init__(self, config: PoseMethodConfig, part: PartModel) -> None:
+    def __init__(self, config: PoseMethodConfig, part: PartModel, workspace: Workspace) -> None:
         """Build the part's models, which takes seconds the first time.
 
         Raises:
@@ -95,7 +94,7 @@ class PoseMethod:
         self.config = config
         self.part = part
         self.warm = False  # whether it has processed a frame: the first one takes longer
-        self.estimator = make_estimator(part, config.estimator)
+        self.estimator = make_estimator(part, config.estimator, workspace)
         self._segmenter = None if config.network is None else segmenter(config.network)
 
     @property
@@ -115,22 +114,21 @@ class PoseMethod:
         return true_instances(scene.instance_ids, self.config.min_points)
 
 
-def make_estimator(part: PartModel, config: EstimatorConfig) -> Estimator:
-    """Build the pose estimator of a part in the standard bin."""
-    return PoseEstimator(part, config, CellConfig().bin.workspace())
+def make_estimator(part: PartModel, config: EstimatorConfig, workspace: Workspace) -> Estimator:
+    """Build the pose estimator of a part in a bin."""
+    return PoseEstimator(part, config, workspace)
 
 
-def pose_method(config: PoseMethodConfig, part: str, unit: Unit | None = None) -> PoseMethod:
-    """Return the method with its models; it is cached until settings, part or weights change.
+def pose_method(config: PoseMethodConfig, options: CellOptions) -> PoseMethod:
+    """Return the method with its models; it is cached until settings, part, bin or weights change.
 
     Args:
         config: Configuration of the method.
-        part: Catalogue name, or path of a mesh file.
-        unit: Length unit of a mesh file; the most plausible one by default.
+        options: Part, and the bin that it lies in.
     """
-    return _loaded(config, part, unit, None if config.network is None else config.network.digest())
+    return _loaded(config, options, None if config.network is None else config.network.digest())
 
 
 @lru_cache(maxsize=1)
-def _loaded(config: PoseMethodConfig, part: str, unit: Unit | None, digest: str | None) -> PoseMethod:  # noqa: ARG001
-    return PoseMethod(config, load_part(part, unit=unit).model)
+def _loaded(config: PoseMethodConfig, options: CellOptions, digest: str | None) -> PoseMethod:  # noqa: ARG001
+    return PoseMethod(config, options.load_part().model, options.cell().bin.workspace())

@@ -17,7 +17,6 @@ from binpick_env.evaluation.segmentation.method import Grouping, MethodConfig, s
 from binpick_env.evaluation.segmentation.summary import load_scores
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
-from binpick_env.parts import load_part
 from binpick_env.scenes.synthesis import SceneConfig, generate_scenes, scene_settings
 from perception.metrics.average_precision import ap_summary
 from perception.metrics.matching import SceneMatches
@@ -172,7 +171,7 @@ def run_ablation(config: AblationConfig, out: Path, workers: int = 1, report: Re
         WorkerError: A worker process was killed.
         KeyboardInterrupt: The run was interrupted; the state of the current training is saved.
     """
-    load_part(config.scenes.part, unit=config.scenes.unit)  # before the folder gets a configuration
+    config.scenes.options().load_part()  # before the folder gets a configuration
     for given in filter(None, (config.training, config.validation)):
         find_scenes([given])
     ensure_same_config(out / "ablation.json", config.settings(), "an ablation")

@@ -11,16 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from binpick_env.config import CellConfig
 from binpick_env.evaluation.segmentation.method import MethodConfig, Segmenter, segmenter
 from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord, record_path
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
-from binpick_env.parts import load_part
 from binpick_env.scenes.boundary_quality import wrong_side
 from binpick_env.scenes.synthesis import SceneConfig, make_scene, scene_settings
 from perception.boundary import extract_boundary
-from perception.frame import Frame
+from perception.frame import Frame, Workspace
 from perception.instance import Instance, labels_of
 from perception.runtime.provenance import git_commit
 from perception.runtime.records import RecordError
@@ -76,7 +74,7 @@ def evaluate_scenes(
     """
     if count < 1 or workers < 1:
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
-    load_part(config.scenes.part, unit=config.scenes.unit)
+    config.scenes.options().load_part()
     segmenter(config.method)  # before the folder gets a configuration
     require_unseen(config)
     ensure_same_config(folder / CONFIG_FILE, config.settings(), "an evaluation")
@@ -100,12 +98,12 @@ def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, pictu
         picture: Whether the record keeps the grey image.
     """
     scene, capture = make_scene(config.scenes, index)
-    method = segmenter(config.method)
+    method, workspace = segmenter(config.method), config.scenes.cell().bin.workspace()
     with use_threads(threads):
         if not method.warm:
-            _segment(method, capture.frame, scene.d_max)
+            _segment(method, capture.frame, workspace, scene.d_max)
             method.warm = True
-        instances, ms = _segment(method, capture.frame, scene.d_max)
+        instances, ms = _segment(method, capture.frame, workspace, scene.d_max)
     wrong, contour = wrong_side(capture, scene.boundary)
     u0, v0, u1, v1 = capture.region if picture else (0, 0, 0, 0)
     return SceneRecord(
@@ -143,9 +141,10 @@ def require_unseen(config: EvaluationConfig) -> None:
                 )
 
 
-def _segment(method: Segmenter, frame: Frame, d_max: float) -> tuple[list[Instance], dict[str, float]]:
+def _segment(
+    method: Segmenter, frame: Frame, workspace: Workspace, d_max: float
+) -> tuple[list[Instance], dict[str, float]]:
     """Return the instances of a frame, and the time of each of `STAGES` [ms]."""
-    workspace = CellConfig().bin.workspace()
     clock = [time.perf_counter()]
     boundary = extract_boundary(frame, workspace)
     clock.append(time.perf_counter())

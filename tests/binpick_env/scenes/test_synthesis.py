@@ -1,5 +1,6 @@
 """Scenes agree with the truth they carry, and their bits with their index alone."""
 
+import json
 import logging
 from dataclasses import replace
 from pathlib import Path
@@ -235,6 +236,29 @@ def test_another_configuration_in_the_folder_is_refused(tmp_path: Path) -> None:
         next(generate_scenes(other, 1, tmp_path))
 
 
+def test_a_folder_of_the_previous_version_is_resumed(tmp_path: Path) -> None:
+    """Settings as version 0.1.0 wrote them (commit 3e3d809), which knew no symmetry, density, bin and friction."""
+    optics = {"width": 1280, "height": 960, "focal": 2400.0, "distance": 0.9, "hand_eye": 0.0, "backend": "raster"}
+    written = {"part": "part_b", "unit": None, "seed": 3, "num_parts": [2, 3], "sensor": "good", "jitter": True}
+    written["camera"] = optics
+    (tmp_path / "scenes.json").write_text(json.dumps(written))
+    config = SceneConfig(part="part_b", seed=3, num_parts=(2, 3))
+    assert synthesis.scene_settings(config) == written
+    ensure_folder_config(config, tmp_path)
+    with pytest.raises(ValueError, match=r"another configuration \(friction: None there, 0.3 here\)"):
+        ensure_folder_config(replace(config, friction=0.3), tmp_path)
+
+
+def test_part_and_bin_are_those_of_the_configuration() -> None:
+    config = replace(TINY, part="tee", bin=(0.3, 0.2, 0.1), friction=0.3, density=1000.0)
+    setup = synthesis._scene_setup(config)
+    assert setup.camera.workspace.inner_size.tolist() == [0.3, 0.2, 0.1]
+    assert setup.part.density == 1000.0
+    friction = setup.simulation.model.geom_friction[:, 0]
+    assert np.count_nonzero(friction == 0.3) > 5
+    assert 0.5 not in friction
+
+
 @pytest.mark.parametrize("damage", ["{", "[]", "3", ""])
 def test_a_damaged_note_is_refused(tmp_path: Path, damage: str) -> None:
     (tmp_path / "scenes.json").write_text(damage)
@@ -279,6 +303,8 @@ def test_an_empty_bin_is_a_scene(tmp_path: Path) -> None:
         ({"num_parts": (5, 4)}, r"num_parts must be \(smallest, largest\) from 0 up, got \(5, 4\)"),
         ({"num_parts": (-1, 4)}, r"num_parts must be \(smallest, largest\) from 0 up, got \(-1, 4\)"),
         ({"seed": -1}, "seed must not be negative, got -1"),
+        ({"bin": (0.3, 0.2, -0.1)}, "bin must be length, width and height inside"),
+        ({"friction": 5.0}, "friction must be from 0 to 2, got 5.0"),
         ({"sensor": "foul"}, "sensor must be one of none, good, harsh, mixed, got 'foul'"),
     ],
 )

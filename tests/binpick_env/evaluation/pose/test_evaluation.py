@@ -23,7 +23,7 @@ from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.parts import load_part
 from binpick_env.scenes.synthesis import SceneConfig, make_scene
 from perception.boundary import BoundaryCloud
-from perception.frame import Frame
+from perception.frame import Frame, Workspace
 from perception.instance import Instance
 from perception.part import PartModel
 from perception.pose.estimator_config import EstimatorConfig
@@ -93,7 +93,8 @@ def tellers(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Teller]]:
     """Let every estimator be one that knows the truth; they are in the list."""
     made: list[Teller] = []
 
-    def make(part: PartModel, config: EstimatorConfig) -> Teller:
+    def make(part: PartModel, config: EstimatorConfig, workspace: Workspace) -> Teller:
+        assert workspace.inner_size.tolist() == [0.36, 0.26, 0.12]
         made.append(Teller(part, config))
         return made[-1]
 
