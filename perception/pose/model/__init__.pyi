@@ -12,6 +12,4 @@ from .pair_features import build_table as build_table
 from .surface_models import SurfaceModel as SurfaceModel
 from .surface_models import surface_model as surface_model
 from .thinning import thin_points as thin_points
-from .viewpoints import VIEW_COUNTS as VIEW_COUNTS
-from .viewpoints import ViewCount as ViewCount
 from .viewpoints import view_directions as view_directions
