@@ -47,7 +47,7 @@ def _neighbours(size: int) -> Iterator[tuple[int, int]]:
                 yield row * size + column, (row + 1) * size + column
 
 
-def unhidden(mesh: trimesh.Trimesh, eye: Floats, points: Floats, slack: float) -> list[bool]:
+def unoccluded(mesh: trimesh.Trimesh, eye: Floats, points: Floats, slack: float) -> list[bool]:
     """Return for each point whether the first surface on the ray from ``eye`` is not nearer than it by ``slack``."""
     free = []
     for point in points:

@@ -73,7 +73,7 @@ def scene_of(
     points, tangents, owner = [], [], []
     for k, T in enumerate(poses):
         wire, along = at.wire_scene(T, part, rng)
-        seen = unhidden(wire, meshes)
+        seen = unoccluded(wire, meshes)
         points.append(wire[seen] + noise * rng.normal(size=(np.count_nonzero(seen), 3)))
         tangents.append(along[seen])
         owner.append(np.full(len(points[-1]), k))
@@ -89,7 +89,7 @@ def scene_of(
     )
 
 
-def unhidden(points_cam: Floats, meshes_cam: Sequence[trimesh.Trimesh]) -> NDArray[np.bool_]:
+def unoccluded(points_cam: Floats, meshes_cam: Sequence[trimesh.Trimesh]) -> NDArray[np.bool_]:
     """Return (N,) whether a ray from a point to the camera meets no mesh."""
     towards = -points_cam / np.linalg.norm(points_cam, axis=1, keepdims=True)
     free: NDArray[np.bool_] = ~trimesh.util.concatenate(list(meshes_cam)).ray.intersects_any(

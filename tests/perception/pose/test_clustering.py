@@ -18,18 +18,18 @@ AHEAD = make_transform(None, (0.0, 0.0, 1.0))
 
 
 def naive(T: Floats, scores: Floats, part: PartModel) -> list[tuple[int, float]]:
-    """Return (head, sum) by giving each pose in turn to the best head it is near."""
+    """Return (representative, sum) by giving each pose in turn to the best representative it is near."""
     members: dict[int, list[int]] = {}
     for i in sorted(range(len(T)), key=lambda i: (-scores[i], i)):
-        for head in members:
-            a, b = transform_points(T[i], part.centre[None]), transform_points(T[head], part.centre[None])
-            angle = part.symmetry.distance(T[i][:3, :3], T[head][:3, :3])
+        for representative in members:
+            a, b = transform_points(T[i], part.centre[None]), transform_points(T[representative], part.centre[None])
+            angle = part.symmetry.distance(T[i][:3, :3], T[representative][:3, :3])
             if np.linalg.norm(a - b) <= CONFIG.translation * part.d_max and angle <= CONFIG.rotation:
-                members[head].append(i)
+                members[representative].append(i)
                 break
         else:
             members[i] = [i]
-    sums = [(head, float(sum(scores[i] for i in group))) for head, group in members.items()]
+    sums = [(representative, float(sum(scores[i] for i in group))) for representative, group in members.items()]
     return sorted(sums, key=lambda entry: (-entry[1], entry[0]))
 
 
@@ -42,8 +42,8 @@ def test_poses_that_differ_by_a_symmetry_are_one_cluster_given_by_the_best(part:
     rng = np.random.default_rng(3)
     T = np.stack(around(at.random_pose(rng), part, 12, 0.01, rng))
     scores = rng.permutation(12).astype(float)
-    heads, sums = cluster_poses(T, scores, part)
-    assert heads.tolist() == [int(np.argmax(scores))]
+    representatives, sums = cluster_poses(T, scores, part)
+    assert representatives.tolist() == [int(np.argmax(scores))]
     assert sums.tolist() == [66.0]
 
 
@@ -53,16 +53,16 @@ def test_clusters_are_those_of_plain_loops(part: PartModel, seed: int, size: flo
     rng = np.random.default_rng(seed)
     T = np.stack([T for _ in range(3) for T in around(at.random_pose(rng), part, 6, size, rng)])
     scores = rng.integers(0, 5, len(T)).astype(float)  # many ties
-    heads, sums = cluster_poses(T, scores, part)
+    representatives, sums = cluster_poses(T, scores, part)
     expected = naive(T, scores, part)
-    assert heads.tolist() == [head for head, _ in expected]
+    assert representatives.tolist() == [representative for representative, _ in expected]
     assert sums == pytest.approx([total for _, total in expected])
 
 
 def test_a_large_cluster_comes_before_a_single_better_pose() -> None:
     T = np.stack([AHEAD, *[make_transform(None, (0.5, 0.0, 1.0 + 1e-4 * k)) for k in range(3)]])
-    heads, sums = cluster_poses(T, np.array([5.0, 2.0, 3.0, 1.0]), at.cube())
-    assert heads.tolist() == [2, 0]
+    representatives, sums = cluster_poses(T, np.array([5.0, 2.0, 3.0, 1.0]), at.cube())
+    assert representatives.tolist() == [2, 0]
     assert sums.tolist() == [6.0, 5.0]
 
 
@@ -95,9 +95,9 @@ def test_rotations_are_compared_as_the_symmetry_does(part: PartModel) -> None:
 
 
 def test_no_pose_is_no_cluster() -> None:
-    heads, sums = cluster_poses(np.zeros((0, 4, 4)), np.zeros(0), at.cube())
-    assert heads.shape == sums.shape == (0,)
-    assert heads.dtype == np.int64
+    representatives, sums = cluster_poses(np.zeros((0, 4, 4)), np.zeros(0), at.cube())
+    assert representatives.shape == sums.shape == (0,)
+    assert representatives.dtype == np.int64
 
 
 def test_bad_poses_and_scores_are_refused() -> None:

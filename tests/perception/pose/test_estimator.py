@@ -71,7 +71,7 @@ def test_a_pose_is_found_again(seed: int | None) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_pose_is_found_of_which_half_is_hidden(seed: int) -> None:
+def test_a_pose_is_found_of_which_half_is_occluded(seed: int) -> None:
     T = at.random_pose(ELL, np.random.default_rng(seed))
     whole, half = scene_of(ELL, T), scene_of(ELL, T, hiders=[PLATE])
     assert len(half.boundary) < 0.65 * len(whole.boundary)
@@ -128,7 +128,7 @@ def test_a_scene_is_searched_without_groups() -> None:
     assert scores == sorted(scores, reverse=True)
 
 
-def test_depth_tells_a_flat_block_from_its_turned_over_twin() -> None:
+def test_depth_tells_a_flat_block_from_its_near_symmetric_pose() -> None:
     """The outline of the long arm's face is that of the block turned over about this arm, too."""
     pivot = np.array([0.0, 0.01, at.HEIGHT / 2])
     mirrored = FROM_ABOVE @ make_transform(OVER, pivot - OVER @ pivot)

@@ -156,7 +156,7 @@ def test_the_bin_is_given_when_an_estimator_is_made(monkeypatch: pytest.MonkeyPa
 # Each other
 
 
-def test_of_two_poses_that_share_room_the_surer_stands_and_the_other_group_gets_its_next_best() -> None:
+def test_of_two_poses_that_collide_the_better_is_selected_and_the_other_group_gets_its_next_best() -> None:
     assert ESTIMATOR.clash(*DEEP)
     lax = quick_estimator(ELL, replace(CONFIG, bodies=BodyConfig(overlap=0.99)))
     scene = scene_of(ELL, *DEEP)
@@ -171,7 +171,7 @@ def test_of_two_poses_that_share_room_the_surer_stands_and_the_other_group_gets_
     assert first.instance_idx == 0
 
 
-def test_a_group_all_of_whose_poses_share_room_with_a_surer_one_has_none() -> None:
+def test_a_group_all_of_whose_poses_collide_with_one_of_a_higher_score_has_none() -> None:
     scene = scene_of(ELL, *CROSSED)
     assert ESTIMATOR.clash(*CROSSED)
     for order in (1, -1):
@@ -181,13 +181,13 @@ def test_a_group_all_of_whose_poses_share_room_with_a_surer_one_has_none() -> No
         assert is_at(found[1], CROSSED[1])
 
 
-def test_a_pose_that_is_not_sure_enough_rules_nothing_out() -> None:
+def test_a_pose_with_a_low_score_rules_nothing_out() -> None:
     scene = scene_of(ELL, *DEEP)
     unsure = groups_of(scene, quick_estimator(ELL, replace(CONFIG, min_score=1.0)))
     assert [is_at(found, T) for found, T in zip(unsure, DEEP, strict=True)] == [True, True]
 
 
-def test_poses_clash_that_share_room_unless_they_are_alike() -> None:
+def test_poses_that_overlap_collide_unless_they_are_alike() -> None:
     here = FROM_ABOVE
     assert not ESTIMATOR.clash(here, here)
     near = at.beside(here, ELL, np.random.default_rng(0), 0.09 * ELL.d_max, np.deg2rad(14))
@@ -208,7 +208,7 @@ def test_what_clashes_is_as_the_settings_say(bodies: BodyConfig) -> None:
     assert not quick_estimator(ELL, replace(CONFIG, bodies=bodies)).clash(*DEEP)
 
 
-def test_verified_poses_share_no_room_and_like_ones_are_one() -> None:
+def test_verified_poses_do_not_collide_and_like_ones_are_one() -> None:
     (seen,) = groups_of(scene_of(ELL, LEANING))
     assert seen is not None
 

@@ -152,7 +152,7 @@ def circle(radius, height, count, phase=0.0):
     return np.stack([radius * np.cos(t), radius * np.sin(t), np.full(count, height)], axis=1), around
 
 
-def test_a_circle_about_the_axis_is_one_row_with_the_pairs_of_its_head():
+def test_a_circle_about_the_axis_is_one_row_with_the_pairs_of_its_representative():
     points, tangents = circle(0.5, 0.1, 24)
     signs = np.random.default_rng(0).choice([-1.0, 1.0], 24)[:, None]
     turn, offset = random_rotation(np.random.default_rng(3)), np.array([0.3, -0.2, 0.1])
@@ -200,7 +200,7 @@ def test_finite_symmetry_merges_the_points_it_swaps():
     pair = Symmetry(rotations=np.stack([np.eye(3), turn]))
     table = table_of(points, tangents, all_seen(points), 1.0, symmetry=pair, centre=np.zeros(3))
     np.testing.assert_array_equal(table.rows, np.tile(np.arange(10), 2))
-    # Each of the 10 heads keeps its own pairs only: those of its partner are the same, but for rounded angles.
+    # Each of the 10 representatives keeps only its own pairs: its partner has the same, but for rounded angles.
     alone = table_of(points, tangents, all_seen(points), 1.0)
     assert len(table.entries) < 0.6 * len(alone.entries)
 

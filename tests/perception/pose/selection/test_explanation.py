@@ -1,4 +1,4 @@
-"""Plates side by side, in pieces, hidden and on top of each other; the claims against their plain twin."""
+"""Plates side by side, in pieces, occluded and on top of each other; the claims against their plain twin."""
 
 from dataclasses import dataclass, replace
 

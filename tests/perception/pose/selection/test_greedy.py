@@ -73,42 +73,42 @@ def test_poses_apart_are_each_groups_best() -> None:
     assert (first.asked, second.asked) == (1, 1)  # to choose anew costs time
 
 
-@pytest.mark.parametrize("surer", [0, 1])
-def test_the_surer_pose_stands_and_the_next_best_takes_the_place_of_the_other(surer: int) -> None:
+@pytest.mark.parametrize("higher", [0, 1])
+def test_the_pose_with_the_higher_score_is_selected_and_the_next_best_takes_the_place_of_the_other(higher: int) -> None:
     sure, other = Given(at(0, 0.9), at(5, 0.8)), Given(at(0.5, 0.7), at(0.9, 0.65), at(2, 0.3), at(3, 0.2))
-    found = selected(*((sure, other) if surer == 0 else (other, sure)))
-    assert found[surer] == (0, 0.9)
-    assert found[1 - surer] == (2, 0.3)
+    found = selected(*((sure, other) if higher == 0 else (other, sure)))
+    assert found[higher] == (0, 0.9)
+    assert found[1 - higher] == (2, 0.3)
 
 
 def test_a_group_has_no_pose_when_all_are_ruled_out() -> None:
     assert selected(Given(at(0.5, 0.8), at(-0.5, 0.7)), Given(at(0, 0.9))) == [None, (0, 0.9)]
 
 
-def test_a_pose_may_become_surer_as_its_rivals_fall_and_then_rules_out_others() -> None:
+def test_the_score_of_a_pose_may_rise_as_its_rivals_are_ruled_out() -> None:
     """The second group's best falls; what is left of it has no rival and beats the third group's pose."""
     second = Given(at(0.5, 0.8), at(2, 0.4), alone=0.85)
     assert selected(Given(at(0, 0.9)), second, Given(at(2.5, 0.7))) == [(0, 0.9), (2, 0.85), None]
 
 
-def test_a_pose_that_has_fallen_rules_nothing_out() -> None:
+def test_a_pose_that_was_ruled_out_rules_nothing_out() -> None:
     """It would clash with the third group's pose, but was ruled out before its turn came."""
     found = selected(Given(at(0, 0.9)), Given(at(0.9, 0.8)), Given(at(1.8, 0.7), at(9, 0.1)))
     assert found == [(0, 0.9), None, (1.8, 0.7)]
 
 
-def test_of_equally_sure_poses_the_first_stands() -> None:
+def test_of_poses_with_equal_scores_the_first_is_selected() -> None:
     assert selected(Given(at(0, 0.8)), Given(at(0.5, 0.8)), Given(at(-0.5, 0.8))) == [(0, 0.8), None, None]
     assert selected(Given(at(0.5, 0.8)), Given(at(0, 0.8))) == [(0.5, 0.8), None]
 
 
-def test_unsure_poses_rule_nothing_out() -> None:
+def test_poses_with_a_low_score_rule_nothing_out() -> None:
     unsure = Given(at(0, 0.49)), Given(at(0.5, 0.48)), Given(at(0.5, 0.3))
     assert selected(*unsure) == [(0, 0.49), (0.5, 0.48), (0.5, 0.3)]
     assert selected(*unsure, sure=0.49) == [(0, 0.49), None, None]
 
 
-def test_a_sure_pose_rules_out_unsure_ones_and_the_unsure_ones_left_may_clash() -> None:
+def test_a_pose_rules_out_poses_with_a_low_score_but_those_do_not_rule_out_each_other() -> None:
     found = selected(Given(at(0.5, 0.2), at(3, 0.1)), Given(at(0, 0.9)), Given(at(3.5, 0.4)))
     assert found == [(3, 0.1), (0, 0.9), (3.5, 0.4)]
 
@@ -118,7 +118,7 @@ def test_no_pose_is_selected_from_a_group_that_is_left_empty() -> None:
     assert selected(Given(), Given(at(0, 0.0)), Given(at(0.5, 0.0)), sure=0.0) == [None, (0, 0.0), None]
 
 
-def test_the_pose_that_stands_comes_first() -> None:
+def test_the_selected_pose_is_the_first_argument() -> None:
     asked: list[tuple[float, float]] = []
 
     def noted(T_a: Floats, T_b: Floats) -> bool:

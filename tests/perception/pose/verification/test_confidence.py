@@ -60,7 +60,7 @@ def test_predictors_and_coefficients_are_in_one_order() -> None:
         assert confidence(VERDICT, 2.0, DROP, 7, ConfidenceConfig(**only)) == pytest.approx(logistic(value)), name
 
 
-def test_what_speaks_for_a_pose_makes_it_surer_and_what_speaks_against_it_does_not() -> None:
+def test_agreement_raises_the_confidence_and_violation_lowers_it() -> None:
     sure = confidence(VERDICT, 1.0, DROP, 60)
     assert 0 < sure < 1
     assert confidence(replace(VERDICT, edge_score=1.0, support=1.0), 1.0, DROP, 60) > sure

@@ -76,7 +76,7 @@ def test_edges_recover_a_pose_from_noisy_points(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_edges_recover_a_pose_of_which_half_is_hidden(seed: int) -> None:
+def test_edges_recover_a_pose_of_which_half_is_occluded(seed: int) -> None:
     rng = np.random.default_rng(seed)
     T = at.random_pose(ELL, rng)
     keep = at.wires(ELL, 0.0005)[0][:, 0] < 0.0205
@@ -246,11 +246,11 @@ def test_a_surface_that_was_not_measured_is_not_converged() -> None:
 
 
 def test_a_share_of_the_surface_must_match() -> None:
-    hidden = at.look_at(at.placed(ELL, FROM_ABOVE)).depth.copy()
-    hidden[:, : at.SIZE[0] // 2] = 0.3
-    assert refine_surface(FROM_ABOVE, SURFACE, at.framed(hidden)).converged
+    occluded = at.look_at(at.placed(ELL, FROM_ABOVE)).depth.copy()
+    occluded[:, : at.SIZE[0] // 2] = 0.3
+    assert refine_surface(FROM_ABOVE, SURFACE, at.framed(occluded)).converged
     strict = SurfaceRefinement(min_matched=0.9)
-    assert not refine_surface(FROM_ABOVE, SURFACE, at.framed(hidden), strict).converged
+    assert not refine_surface(FROM_ABOVE, SURFACE, at.framed(occluded), strict).converged
 
 
 def test_a_wide_gate_comes_before_a_fine_one() -> None:

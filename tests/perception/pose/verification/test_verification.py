@@ -90,10 +90,10 @@ def test_a_pose_behind_something_is_not_said_to_float() -> None:
     assert found.violation == 0.0
     assert 0.2 < found.support < 0.8
     whole = trimesh.creation.box((0.3, 0.3, 0.002), make_transform(None, (0.0, 0.0, 0.4)))
-    hidden = verdict(LEANING, at.look_at(at.placed(ELL, LEANING), whole))
-    assert (hidden.violation, hidden.support, hidden.measured) == (0.0, 0.0, 1.0)
+    occluded = verdict(LEANING, at.look_at(at.placed(ELL, LEANING), whole))
+    assert (occluded.violation, occluded.support, occluded.measured) == (0.0, 0.0, 1.0)
     assert found.visible_fraction == found.support
-    assert verdict(LEANING).score >= found.score > hidden.score
+    assert verdict(LEANING).score >= found.score > occluded.score
 
 
 def test_the_mirror_pose_of_a_flat_part_has_less_support() -> None:
@@ -137,7 +137,7 @@ def test_a_pose_that_cannot_be_seen_has_nothing_for_it(shift: tuple[float, float
     assert found.score < 0.1
 
 
-def test_the_edge_score_is_the_share_of_unhidden_edges_with_points() -> None:
+def test_the_edge_score_is_the_share_of_unoccluded_edges_with_points() -> None:
     keep = at.wires(ELL, 0.0005)[0][:, 0] < 0.02
     points, tangents = (a[keep] for a in GROUP)
     expected = np.mean(MODEL.points[:, 0] < 0.02)
