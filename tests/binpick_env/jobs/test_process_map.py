@@ -34,7 +34,7 @@ def die_at(which: int, index: int) -> int:
 
 
 def linger(folder: Path, index: int) -> int:
-    """Say which process this is, and work on."""
+    """Write the id of this process, and keep running."""
     draft = folder / f"draft {index}"
     draft.write_text(str(os.getpid()))
     draft.rename(folder / str(index))
@@ -88,7 +88,7 @@ def test_the_threads_are_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
         cv2.setNumThreads(before)
 
 
-def test_an_error_comes_as_it_is() -> None:
+def test_an_error_is_raised_unchanged() -> None:
     results = map_indices(partial(fail_at, 1), [0, 1, 2], 1)
     assert next(results) == 0
     with pytest.raises(FloatingPointError, match="index 1 diverged"):
@@ -96,7 +96,7 @@ def test_an_error_comes_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("workers", [0, -2])
-def test_no_workers_are_refused(workers: int) -> None:
+def test_a_number_of_workers_below_one_is_refused(workers: int) -> None:
     with pytest.raises(ValueError, match=f"workers must be at least 1, got {workers}"):
         list(map_indices(square, [1, 2], workers))
 
@@ -104,13 +104,13 @@ def test_no_workers_are_refused(workers: int) -> None:
 # --- in many ---------------------------------------------------------------------------------------------------------
 
 
-def test_workers_start_as_told_compute_on_one_core_and_ignore_ctrl_c() -> None:
-    results = list(map_indices(circumstances, range(8), 2, remember, ("told",)))
+def test_workers_run_the_initializer_compute_on_one_core_and_ignore_ctrl_c() -> None:
+    results = list(map_indices(circumstances, range(8), 2, remember, ("started",)))
     assert sorted(result[0] for result in results) == list(range(8))
     pids = {result[1] for result in results}
     assert os.getpid() not in pids
     assert len(pids) <= 2
-    assert {result[2:] for result in results} == {("told", 1, "1", True)}
+    assert {result[2:] for result in results} == {("started", 1, "1", True)}
     assert _start == "untouched"
     assert multiprocessing.active_children() == []
 
@@ -121,13 +121,13 @@ def test_a_killed_worker_is_named() -> None:
     assert multiprocessing.active_children() == []
 
 
-def test_an_error_in_a_worker_comes_as_it_is() -> None:
+def test_an_error_in_a_worker_is_raised_unchanged() -> None:
     with pytest.raises(FloatingPointError, match="index 1 diverged"):
         list(map_indices(partial(fail_at, 1), range(4), 2))
     assert multiprocessing.active_children() == []
 
 
-def test_who_stops_early_leaves_no_process() -> None:
+def test_an_iteration_that_is_closed_early_leaves_no_process() -> None:
     results = map_indices(square, range(50), 2)
     assert next(results) in {index * index for index in range(50)}
     results.close()  # type: ignore[attr-defined]

@@ -66,7 +66,7 @@ def test_silhouettes_equal_mujocos_rays(seed: int) -> None:
     assert rays > 5000
 
 
-def test_silhouettes_have_no_seams_and_do_not_depend_on_company() -> None:
+def test_silhouettes_have_no_seams_and_do_not_depend_on_other_parts() -> None:
     rng = np.random.default_rng(2)
     poses = np.stack([make_transform(random_rotation(rng), (*rng.uniform(-0.1, 0.1, 2), 0.8)) for _ in range(12)])
     fine = tee().subdivide().subdivide()  # 16 times the triangles, the same surface
@@ -76,7 +76,7 @@ def test_silhouettes_have_no_seams_and_do_not_depend_on_company() -> None:
     np.testing.assert_array_equal(alone, together)
 
 
-def test_silhouettes_end_at_the_region_and_behind_the_eye() -> None:
+def test_silhouettes_end_at_the_region_and_behind_the_camera() -> None:
     box = trimesh.creation.box((0.02, 0.02, 0.02))
     poses = np.stack([make_transform(translation=(x, 0, z)) for x, z in ((0, 0.8), (0, -0.8), (9, 0.8), (0, 0.0))])
     counts = silhouette_pixels(box, poses, K, (960, 1280))

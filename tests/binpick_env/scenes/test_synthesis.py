@@ -1,4 +1,4 @@
-"""Scenes agree with the truth they carry, and their bits with their index alone."""
+"""Scenes agree with their ground truth, and depend on their configuration and index alone."""
 
 import json
 import logging
@@ -106,7 +106,7 @@ def test_the_focal_length_goes_with_the_image(captured: list[synthesis.CapturedS
 # --- chance ----------------------------------------------------------------------------------------------------------
 
 
-def test_an_index_has_its_own_scene_whatever_was_made_before(captured: list[synthesis.CapturedScene]) -> None:
+def test_a_scene_depends_on_its_index_alone(captured: list[synthesis.CapturedScene]) -> None:
     make_scene(replace(TINY, part="part_a"), 0)  # another setup
     for index in (2, 0):
         assert same(make_scene(TINY, index).scene, captured[index].scene)
@@ -168,7 +168,7 @@ def test_without_jitter_camera_and_light_are_the_cells_own(monkeypatch: pytest.M
     assert lights[2] != lights[3]
 
 
-def test_lamps_stand_within_45_degrees_of_the_cameras_axis() -> None:
+def test_light_comes_from_within_45_degrees_of_the_cameras_axis() -> None:
     rng = np.random.default_rng(0)
     lights = [draw_light(rng) for _ in range(300)]
     directions = np.array([light.to_light for light in lights])
@@ -201,7 +201,7 @@ def test_a_mixed_scene_is_seen_by_the_preset_drawn_for_it() -> None:
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_run_goes_on_and_makes_damaged_files_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_run_is_resumed_and_damaged_files_are_made_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert list(generate_scenes(TINY, 2, tmp_path)) == [0, 1]
     whole = [scene_path(tmp_path, index).read_bytes() for index in range(2)]
     kept = scene_path(tmp_path, 0).stat().st_mtime_ns
@@ -260,7 +260,7 @@ def test_part_and_bin_are_those_of_the_configuration() -> None:
 
 
 @pytest.mark.parametrize("damage", ["{", "[]", "3", ""])
-def test_a_damaged_note_is_refused(tmp_path: Path, damage: str) -> None:
+def test_a_damaged_configuration_file_is_refused(tmp_path: Path, damage: str) -> None:
     (tmp_path / "scenes.json").write_text(damage)
     with pytest.raises(ValueError, match=r"scenes\.json is damaged; choose another folder with --out, or delete this"):
         ensure_folder_config(TINY, tmp_path)
@@ -277,7 +277,7 @@ def test_a_changed_part_file_is_another_configuration(tmp_path: Path) -> None:
         ensure_folder_config(config, tmp_path / "scenes")
 
 
-def test_a_part_that_does_not_exist_claims_no_folder(tmp_path: Path) -> None:
+def test_a_part_that_does_not_exist_leaves_no_folder(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="part must be one of part_a"):
         next(generate_scenes(replace(TINY, part="teapot"), 1, tmp_path / "out"))
     with pytest.raises(FileNotFoundError, match=r"nowhere\.stl"):

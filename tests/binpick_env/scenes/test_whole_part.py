@@ -18,7 +18,7 @@ CAMERA = CameraConfig(width=320, height=240)  # focal length of 600 px
 
 @pytest.fixture(autouse=True)
 def few_views(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Six views instead of 26, and nothing remembered from another test."""
+    """Use six views instead of 26, and an empty cache."""
     monkeypatch.setattr(whole_part, "_VIEWS", 6)
     whole_part_points.cache_clear()
     yield
@@ -27,7 +27,7 @@ def few_views(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, CameraConfig]]:
-    """What was counted; nothing is drawn for it."""
+    """Calls of `_count`, which renders nothing and returns fixed numbers."""
     asked: list[tuple[str, CameraConfig]] = []
 
     def count(part: Part, camera: CameraConfig) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_it_is_the_largest_count_by_the_depth_it_was_made_at(counted: list[tuple
     assert counted == [("tee", CAMERA)]
 
 
-def test_it_is_kept_on_disk(cache: Path, counted: list[tuple[str, CameraConfig]]) -> None:
+def test_a_count_is_cached_on_disk(cache: Path, counted: list[tuple[str, CameraConfig]]) -> None:
     first = whole_part_points("tee", None, CAMERA)
     assert len(list(cache.glob("whole-part-*.npz"))) == 1
     whole_part_points.cache_clear()
@@ -89,7 +89,7 @@ def test_another_part_or_camera_is_counted(counted: list[tuple[str, CameraConfig
     assert counted == [("tee", CAMERA), *others]
 
 
-def test_it_is_remembered(cache: Path, counted: list[tuple[str, CameraConfig]]) -> None:
+def test_a_count_is_cached_in_memory(cache: Path, counted: list[tuple[str, CameraConfig]]) -> None:
     first = whole_part_points("tee", None, CAMERA)
     for path in cache.iterdir():
         path.unlink()

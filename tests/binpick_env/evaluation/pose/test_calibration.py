@@ -1,4 +1,4 @@
-"""The confidence's coefficients from poses whose truth is known."""
+"""Fit of the confidence to poses with known ground truth."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ TRUTH = ConfidenceConfig(
 
 
 def drawn(count: int = 40_000) -> Sample:
-    """Return poses that are right as often as `TRUTH` says."""
+    """Return poses that are correct with the probability that `TRUTH` gives."""
     rng = np.random.default_rng(0)
     predictors = rng.uniform(0, 1, (count, len(coefficients(TRUTH))))
     chance = 1 / (1 + np.exp(-(TRUTH.bias + predictors @ np.array(coefficients(TRUTH)))))
@@ -32,14 +32,14 @@ def drawn(count: int = 40_000) -> Sample:
     return Sample(predictors=predictors, correct=right, to_find=right, missed=0)
 
 
-def test_the_fit_finds_the_coefficients_that_rightness_was_drawn_by() -> None:
+def test_the_fit_recovers_the_coefficients_of_the_sample() -> None:
     found = fit_confidence(drawn())
     np.testing.assert_allclose(coefficients(found), coefficients(TRUTH), atol=0.25)
     assert found.bias == pytest.approx(TRUTH.bias, abs=0.15)
     assert found.clear == ConfidenceConfig().clear
 
 
-def test_predicted_shares_come_true() -> None:
+def test_predicted_confidences_are_calibrated() -> None:
     sample = drawn()
     chance = predicted_confidence(sample, fit_confidence(sample))
     for low in (0.1, 0.4, 0.7):
@@ -48,7 +48,7 @@ def test_predicted_shares_come_true() -> None:
 
 
 @pytest.mark.parametrize("right", [True, False])
-def test_one_kind_alone_is_refused(right: bool) -> None:
+def test_a_sample_without_correct_or_wrong_poses_is_refused(right: bool) -> None:
     sample = replace(drawn(10), correct=np.full(10, right))
     with pytest.raises(ValueError, match=r"correct and wrong poses are needed, got \d+ correct of 10"):
         fit_confidence(sample)
@@ -68,7 +68,7 @@ def test_operating_points_by_hand() -> None:
     assert [point[3] for point in points] == [0.5, 0.25, 0.25, 0.0]
 
 
-def test_records_are_read_with_their_truth(tmp_path: Path) -> None:
+def test_a_sample_is_loaded_from_records(tmp_path: Path) -> None:
     true = record().T_cam_parts
     poses = np.stack([true[0], moved(true[1], degrees=20.0), true[2]])
     verdicts = np.tile(np.arange(len(VERDICT_COLUMNS)) / 10, (3, 1))

@@ -1,4 +1,4 @@
-"""An evaluation of poses runs, can be stopped and gone on with, and keeps what the estimator said."""
+"""An evaluation of poses can be resumed, and its records hold the results of the estimator."""
 
 import logging
 from collections.abc import Iterable, Iterator, Sequence
@@ -46,25 +46,25 @@ def scene_of(index: int) -> BoundaryScene:
     return make_scene(SCENES, index).scene
 
 
-class Teller:
-    """An estimator that knows the truth of the first two scenes, and counts what it is asked."""
+class TruthEstimator:
+    """Estimator that returns the true poses of the first two scenes, and records its calls."""
 
     def __init__(self, part: PartModel, config: EstimatorConfig) -> None:
         self.config = config
-        self.asked: list[int] = []
+        self.group_counts: list[int] = []
         self.surface = surface_model(part)
         self.scenes = {scene_of(index).boundary.pixels.tobytes(): scene_of(index) for index in range(2)}
 
     def estimate_groups(
         self, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame
     ) -> list[PoseEstimate | None]:
-        self.asked.append(len(instances))
+        self.group_counts.append(len(instances))
         scene = self.scenes[boundary.pixels.tobytes()]
         assert frame.depth.shape == (480, 640)
         found: list[PoseEstimate | None] = []
         for k, instance in enumerate(instances):
             owner = int(np.bincount(scene.instance_ids[instance.point_idx] + 1).argmax()) - 1
-            found.append(self.told(scene, owner, k) if owner >= 0 else None)
+            found.append(self.true_estimate(scene, owner, k) if owner >= 0 else None)
         return found
 
     def verified(self, estimates: Iterable[PoseEstimate | None]) -> list[PoseEstimate]:
@@ -72,9 +72,9 @@ class Teller:
 
     def estimate_scene(self, boundary: BoundaryCloud, frame: Frame) -> list[PoseEstimate]:
         scene = self.scenes[boundary.pixels.tobytes()]
-        return [self.told(scene, owner, -1) for owner in range(len(scene.T_cam_parts))]
+        return [self.true_estimate(scene, owner, -1) for owner in range(len(scene.T_cam_parts))]
 
-    def told(self, scene: BoundaryScene, owner: int, k: int) -> PoseEstimate:
+    def true_estimate(self, scene: BoundaryScene, owner: int, k: int) -> PoseEstimate:
         """Score the first part low."""
         return PoseEstimate(
             T_cam_part=scene.T_cam_parts[owner],
@@ -89,13 +89,13 @@ class Teller:
 
 
 @pytest.fixture
-def tellers(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Teller]]:
-    """Let every estimator be one that knows the truth; they are in the list."""
-    made: list[Teller] = []
+def truth_estimators(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[TruthEstimator]]:
+    """Replace every estimator by one that returns true poses; the list holds them."""
+    made: list[TruthEstimator] = []
 
-    def make(part: PartModel, config: EstimatorConfig, workspace: Workspace) -> Teller:
+    def make(part: PartModel, config: EstimatorConfig, workspace: Workspace) -> TruthEstimator:
         assert workspace.inner_size.tolist() == [0.36, 0.26, 0.12]
-        made.append(Teller(part, config))
+        made.append(TruthEstimator(part, config))
         return made[-1]
 
     monkeypatch.setattr(pose_method, "make_estimator", make)
@@ -122,7 +122,7 @@ def config(**method: Any) -> PoseEvaluationConfig:
 # --- what is kept ----------------------------------------------------------------------------------------------------
 
 
-def test_a_record_has_every_groups_pose_beside_the_truth(tellers: list[Teller]) -> None:
+def test_a_record_has_the_pose_of_each_group_and_the_truth(truth_estimators: list[TruthEstimator]) -> None:
     scene = scene_of(0)
     kept = evaluate_pose_scene(config(), 0)
     sizes = np.bincount(scene.instance_ids + 1)[1:]
@@ -144,31 +144,34 @@ def test_a_record_has_every_groups_pose_beside_the_truth(tellers: list[Teller]) 
     assert not kept.whole_scene
 
 
-def test_true_segments_need_enough_points(tellers: list[Teller]) -> None:
+def test_true_segments_need_enough_points(truth_estimators: list[TruthEstimator]) -> None:
     sizes = np.sort(np.bincount(scene_of(0).instance_ids + 1)[1:])
     kept = evaluate_pose_scene(config(min_points=int(sizes[-2])), 0, picture=False)
     assert sorted(kept.sizes()) == sizes[-2:].tolist()
     assert kept.picture.size == 0
 
 
-def test_time_is_kept_after_a_first_look(tellers: list[Teller], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_times_are_measured_after_a_warm_up(
+    truth_estimators: list[TruthEstimator], monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = torch.get_num_threads()
     first = evaluate_pose_scene(config(), 0)
-    (teller,) = tellers
+    (estimator,) = truth_estimators
     groups = len(first.confidences)
-    assert teller.asked == [groups, 3] * 2  # once to warm up, and each time the trials' groups once more, alone
+    # One warm-up; each time the groups of the trials are estimated once more, alone.
+    assert estimator.group_counts == [groups, 3] * 2
     evaluate_pose_scene(config(), 1)
-    assert len(teller.asked) == 6
+    assert len(estimator.group_counts) == 6
     assert torch.get_num_threads() == before
     assert first.ms["total"] == pytest.approx(sum(first.ms[name] for name in ("boundary", "pose")))
     assert (first.ms["surface"], first.ms["segmentation"]) == (0.0, 0.0)
     assert min(first.ms[name] for name in ("boundary", "pose", "trials", "explanation")) > 0
 
 
-def test_the_whole_scene_is_searched_without_segments(tellers: list[Teller]) -> None:
+def test_the_whole_scene_is_searched_without_segments(truth_estimators: list[TruthEstimator]) -> None:
     kept = evaluate_pose_scene(config(perception="whole_scene"), 0)
-    (teller,) = tellers
-    assert teller.asked == []
+    (estimator,) = truth_estimators
+    assert estimator.group_counts == []
     assert kept.whole_scene
     assert (kept.groups == -1).all()
     assert kept.segmentation(explained=True).matches().correct.any()  # parts are told apart by their poses alone
@@ -178,7 +181,7 @@ def test_the_whole_scene_is_searched_without_segments(tellers: list[Teller]) -> 
 
 
 def test_learned_segments_are_the_networks(
-    tellers: list[Teller], weights: Path, monkeypatch: pytest.MonkeyPatch
+    truth_estimators: list[TruthEstimator], weights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said = [Instance(point_idx=np.arange(40, 200), score=0.8), Instance(point_idx=np.arange(300, 420), score=0.4)]
     monkeypatch.setattr(SegmentationPredictor, "predict", lambda *_: said)
@@ -212,7 +215,7 @@ def test_nonsense_is_refused(changes: dict[str, Any], text: str) -> None:
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_record_is_read_as_it_was_written(tmp_path: Path, tellers: list[Teller]) -> None:
+def test_a_record_is_read_as_it_was_written(tmp_path: Path, truth_estimators: list[TruthEstimator]) -> None:
     kept = evaluate_pose_scene(config(), 0)
     kept.save(tmp_path / "r.npz")
     back = PoseRecord.load(tmp_path / "r.npz")
@@ -236,8 +239,8 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path, tellers: list[Teller
         record(ms={"pose": 1.0})
 
 
-def test_a_run_goes_on_and_damaged_records_are_made_again(
-    tmp_path: Path, tellers: list[Teller], caplog: pytest.LogCaptureFixture
+def test_a_run_is_resumed_and_damaged_records_are_computed_again(
+    tmp_path: Path, truth_estimators: list[TruthEstimator], caplog: pytest.LogCaptureFixture
 ) -> None:
     assert list(evaluate_poses(config(), 2, tmp_path)) == [0, 1]
     kept = record_path(tmp_path, 0).stat().st_mtime_ns
@@ -256,7 +259,9 @@ def test_a_run_goes_on_and_damaged_records_are_made_again(
     assert record_path(tmp_path, 0).stat().st_mtime_ns > kept
 
 
-def test_another_evaluations_folder_is_refused_and_the_difference_named(tmp_path: Path, tellers: list[Teller]) -> None:
+def test_a_folder_of_another_evaluation_is_refused_and_the_difference_named(
+    tmp_path: Path, truth_estimators: list[TruthEstimator]
+) -> None:
     list(evaluate_poses(config(), 1, tmp_path))
     other = replace(EstimatorConfig(), min_score=0.25)
     text = r"another configuration \(method\.estimator\.min_score: 0\.93 there, 0\.25 here\); choose another folder"
@@ -266,7 +271,9 @@ def test_another_evaluations_folder_is_refused_and_the_difference_named(tmp_path
         next(evaluate_poses(replace(config(), scenes=replace(SCENES, seed=8)), 1, tmp_path))
 
 
-def test_scenes_that_the_weights_have_seen_are_refused(tmp_path: Path, tellers: list[Teller], weights: Path) -> None:
+def test_scenes_of_the_training_are_refused(
+    tmp_path: Path, truth_estimators: list[TruthEstimator], weights: Path
+) -> None:
     mine = config(perception="learned", weights=weights)
     for seed, use in ((5, "trained on"), (6, "validated on")):
         with pytest.raises(ValueError, match=rf"has been {use} scenes of seed {seed}; judge it with another seed"):
@@ -275,7 +282,7 @@ def test_scenes_that_the_weights_have_seen_are_refused(tmp_path: Path, tellers: 
     assert next(evaluate_poses(mine, 1, tmp_path / "out")) == 0  # seed 31 was another part's
 
 
-def test_what_cannot_be_done_claims_no_folder(tmp_path: Path, tellers: list[Teller]) -> None:
+def test_an_invalid_evaluation_leaves_no_folder(tmp_path: Path, truth_estimators: list[TruthEstimator]) -> None:
     out = tmp_path / "out"
     with pytest.raises(ValueError, match="part must be one of"):
         next(evaluate_poses(replace(config(), scenes=replace(SCENES, part="teapot")), 1, out))
@@ -300,7 +307,9 @@ def test_the_records_do_not_depend_on_the_workers(tmp_path: Path) -> None:
 # --- ablation --------------------------------------------------------------------------------------------------------
 
 
-def test_rows_of_one_key_are_judged_once_and_gone_on_with(tmp_path: Path, tellers: list[Teller]) -> None:
+def test_rows_of_the_same_key_are_evaluated_once_and_resumed(
+    tmp_path: Path, truth_estimators: list[TruthEstimator]
+) -> None:
     other = PoseMethodConfig(estimator=replace(EstimatorConfig(), min_score=0.0))
     rows = [
         PoseRow(key="full", name="full", method=PoseMethodConfig()),
@@ -314,8 +323,8 @@ def test_rows_of_one_key_are_judged_once_and_gone_on_with(tmp_path: Path, teller
     full, everything, lenient = table.rows
     assert full.delivered < everything.delivered == lenient.delivered
     assert (full.precision, full.recognition_rate, full.trials) == (1.0, 1.0, 6)
-    asked = sum(len(teller.asked) for teller in tellers)
+    asked = sum(len(estimator.group_counts) for estimator in truth_estimators)
     assert run_pose_ablation(ablation, tmp_path).rows == table.rows
-    assert sum(len(teller.asked) for teller in tellers) == asked
+    assert sum(len(estimator.group_counts) for estimator in truth_estimators) == asked
     with pytest.raises(ValueError, match="holds an ablation of poses of another configuration"):
         run_pose_ablation(replace(ablation, scenes=replace(SCENES, seed=8)), tmp_path)

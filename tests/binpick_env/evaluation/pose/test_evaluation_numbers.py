@@ -1,4 +1,4 @@
-"""What is right is counted right: trials, parts, poses and scores, worked by hand on scenes of four parts."""
+"""Numbers of an evaluation of poses, computed by hand on scenes of four parts."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,12 +26,12 @@ CONFIG = PoseEvaluationConfig(scenes=SceneConfig(part="bracket", seed=31))
 TRUE = record().T_cam_parts
 
 
-def judged(scene: PoseRecord, index: int = 0) -> PoseSceneScore:
+def score_of(scene: PoseRecord, index: int = 0) -> PoseSceneScore:
     return PoseSceneScore.from_record(scene, index, bracket())
 
 
 def summary_of(*scenes: PoseRecord, config: PoseEvaluationConfig = CONFIG) -> PoseSummary:
-    scores = [judged(scene, k) for k, scene in enumerate(scenes)]
+    scores = [score_of(scene, k) for k, scene in enumerate(scenes)]
     return summarise_poses(config, scores, np.random.default_rng(0), resamples=200)
 
 
@@ -67,10 +67,12 @@ def test_an_empty_bin_counts_for_nothing() -> None:
 @pytest.mark.parametrize(
     ("share", "degrees", "right"), [(0.099, 0.0, True), (0.101, 0.0, False), (0.0, 4.9, True), (0.0, 5.1, False)]
 )
-def test_right_is_a_tenth_of_the_diameter_and_five_degrees(share: float, degrees: float, right: bool) -> None:
+def test_a_correct_pose_is_within_a_tenth_of_the_diameter_and_five_degrees(
+    share: float, degrees: float, right: bool
+) -> None:
     poses = TRUE.copy()
     poses[0] = moved(TRUE[0], share, degrees)
-    score = judged(record(poses=poses))
+    score = score_of(record(poses=poses))
     assert score.trials.recognised.tolist() == [right, True, True]
     assert score.verified.correct.tolist() == [right, True, True, True]
     assert score.correct.tolist() == [right, True, True, True]
@@ -88,30 +90,30 @@ def test_a_trial_is_about_the_part_that_owns_most_of_the_group() -> None:
     assert owners.tolist() == [0, 1, -1, 3]
     assert purities == pytest.approx([1.0, 120 / 220, 0.0, 1.0])
     assert scene.sizes().tolist() == [20, 220, 120, 120]
-    trials = judged(scene).trials
+    trials = score_of(scene).trials
     assert trials.recognised.tolist() == [True, True, False]  # the pose of group 2 fits a part, but which was meant?
     assert np.isnan(trials.translations[2])
     assert trials.purities == pytest.approx(purities[:3])
     swapped = record(labels=labels, poses=TRUE[[1, 0, 2, 3]])
-    assert judged(swapped).trials.recognised.tolist() == [False, False, True]
+    assert score_of(swapped).trials.recognised.tolist() == [False, False, True]
 
 
 def test_a_group_without_a_pose_is_a_trial_that_failed_and_verification_removes_none() -> None:
-    score = judged(record(**estimates(TRUE[1:], [0.8, 0.1, 0.6], [1, 2, 3], [True, False, True])))
+    score = score_of(record(**estimates(TRUE[1:], [0.8, 0.1, 0.6], [1, 2, 3], [True, False, True])))
     assert score.trials.recognised.tolist() == [False, True, True]
     assert len(score.verified.correct) == 2
 
 
-def test_only_one_pose_of_a_part_is_right() -> None:
+def test_only_one_pose_of_a_part_is_correct() -> None:
     poses = np.stack([moved(TRUE[0], 0.05), TRUE[0], TRUE[1]])
-    score = judged(record(**estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2])))
+    score = score_of(record(**estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2])))
     assert score.verified.correct.tolist() == [True, False, True]
     assert score.verified.matched_part.tolist() == [0, 0, 1]
     assert score.correct.all()
     assert summary_of(record(**estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2]))).precision == pytest.approx(2 / 3)
 
 
-def test_hidden_parts_count_for_precision_and_not_for_recall() -> None:
+def test_occluded_parts_count_for_precision_and_not_for_recall() -> None:
     hidden = summary_of(record(**estimates(TRUE[[1, 2, 3]], [0.9, 0.8, 0.7], [1, 2, 3])))
     assert (hidden.precision, hidden.recall, hidden.parts_to_find) == (1.0, 0.5, 2)
     bands = {(band.low, band.parts, band.found) for band in hidden.by_visible_fraction}
@@ -119,7 +121,7 @@ def test_hidden_parts_count_for_precision_and_not_for_recall() -> None:
     assert [band.high for band in hidden.by_visible_fraction] == [high for _, high in BANDS[:-1]] + [1.0]
 
 
-def test_verification_is_what_it_removes() -> None:
+def test_numbers_without_verification_count_all_poses() -> None:
     poses = np.concatenate([TRUE, moved(TRUE[0], 0.5)[None]])
     kept = [True, False, True, True, False]
     groups = summary_of(record(**estimates(poses, [0.9, 0.3, 0.8, 0.7, 0.2], [0, 1, 2, 3, 0], kept)))
@@ -128,11 +130,11 @@ def test_verification_is_what_it_removes() -> None:
     assert groups.pose_ap < groups.unverified_pose_ap
 
 
-def test_without_segments_any_pose_may_be_the_trials() -> None:
+def test_without_segments_a_trial_takes_the_nearest_pose() -> None:
     poses = np.stack([moved(TRUE[2], 0.2), TRUE[2], TRUE[1]])
     ms = record().ms | {"trials": np.nan}
     scene = record(**estimates(poses, [0.9, 0.8, 0.7], [-1, -1, -1]), whole_scene=True, ms=ms)
-    score = judged(scene)
+    score = score_of(scene)
     assert score.trials.recognised.tolist() == [False, True, True]
     assert score.trials.translations[2] == pytest.approx(0.0, abs=1e-12)
     assert len(score.segmentation.scores) == 0
@@ -149,7 +151,7 @@ def test_the_worst_scenes_come_first() -> None:
     empty = record(visible_fractions=np.full(4, 0.2))
     false = record(poses=np.concatenate([TRUE[:3], moved(TRUE[3], 0.5)[None]]))
     lost = record(**estimates(TRUE[:1], [0.9], [0]))
-    order = worst_first([judged(scene, k) for k, scene in enumerate((empty, record(), false, lost))])
+    order = worst_first([score_of(scene, k) for k, scene in enumerate((empty, record(), false, lost))])
     assert [score.index for score in order] == [3, 2, 1, 0]
 
 
@@ -158,7 +160,7 @@ def test_the_worst_scenes_come_first() -> None:
 
 def test_reliability_is_counted_by_tenths_of_the_score() -> None:
     poses = np.stack([TRUE[0], moved(TRUE[1], 0.5), TRUE[2], TRUE[3]])
-    scores = [judged(record(poses=poses, scores=np.array([1.0, 0.95, 0.1, 0.0])))] * 2
+    scores = [score_of(record(poses=poses, scores=np.array([1.0, 0.95, 0.1, 0.0])))] * 2
     bins = reliability(scores)
     assert [each.poses for each in bins] == [2, 2, 0, 0, 0, 0, 0, 0, 0, 4]
     assert [each.right for each in bins] == [2, 2, 0, 0, 0, 0, 0, 0, 0, 2]
@@ -170,9 +172,9 @@ def test_reliability_is_counted_by_tenths_of_the_score() -> None:
     assert summary.brier == pytest.approx((0.0 + 0.95**2 + 0.9**2 + 1.0) / 4)
 
 
-def test_intervals_are_made_as_they_say() -> None:
+def test_intervals_by_hand() -> None:
     half = record(**estimates(TRUE[:1], [0.9], [0]))
-    counts = pose_counts([judged(scene) for scene in (record(), half)])
+    counts = pose_counts([score_of(scene) for scene in (record(), half)])
     np.testing.assert_array_equal(counts, [[3, 3, 2, 2, 4, 4], [1, 3, 1, 2, 1, 1]])
     weights = np.array([[2.0, 0.0], [1.0, 1.0], [0.0, 2.0]])
     quotients = resampled_quotients(counts, weights)
@@ -197,7 +199,7 @@ def test_what_the_poses_explain_is_compared_with_what_was_segmented() -> None:
     assert f"AP 100.0 ({100 * value:+.1f}, 95 %: {100 * value:+.1f}" in pose_table(summary)
 
 
-def test_times_are_medians_over_scenes_of_what_there_was() -> None:
+def test_times_are_medians_over_scenes_without_nan() -> None:
     slow = record(ms=record().ms | {"pose": 80.0, "trials": np.nan})
     summary = summary_of(record(), slow)
     assert (summary.ms_segmentation, summary.ms_pose, summary.ms_trials) == (5.0, 60.0, 30.0)
@@ -257,7 +259,7 @@ def tabulated(*rows: tuple[Sequence[PoseRecord], dict[str, Any]]) -> Any:
     method = PoseMethodConfig()
     given = []
     for k, (scenes, changes) in enumerate(rows):
-        scores = [judged(scene, index) for index, scene in enumerate(scenes)]
+        scores = [score_of(scene, index) for index, scene in enumerate(scenes)]
         given.append((PoseRow(key=str(k), name=f"row {k}", method=method, **changes), scores))
     return tabulate_poses(given, CONFIG.scenes, np.random.default_rng(0), 200)
 
@@ -279,7 +281,7 @@ def test_rows_are_compared_on_the_same_scenes() -> None:
     assert [line.startswith("row 2") for line in text.splitlines()].count(True) == 2
 
 
-def test_a_row_without_verification_delivers_every_pose() -> None:
+def test_a_row_without_verification_counts_every_pose() -> None:
     poses = np.concatenate([TRUE[:3], moved(TRUE[3], 0.5)[None]])
     scene = [record(**estimates(poses, [0.9, 0.8, 0.2, 0.1], [0, 1, 2, 3], [True, True, False, False]))]
     strict, loose = tabulated((scene, {}), (scene, {"verified": False})).rows

@@ -1,4 +1,4 @@
-"""The table's rows are trained, chosen for and judged once; intervals cover trainings and scenes."""
+"""Each row is trained and evaluated once; intervals cover trainings and scenes."""
 
 import json
 from collections.abc import Sequence
@@ -132,7 +132,7 @@ def test_nothing_to_tabulate_is_refused() -> None:
 # --- rows ------------------------------------------------------------------------------------------------------------
 
 
-def test_rows_differ_in_what_they_say_alone() -> None:
+def test_successive_rows_differ_in_one_setting() -> None:
     how = trainings()
     assert len({(c.batch, c.points, c.optimizer, c.learning_rate, c.schedule, c.ema) for c in how.values()}) == 1
     assert (how["dgcnn"].pairs, how["sgpn"].network) == (how["sgpn"].pairs, SgpnConfig(trunk="pointnet"))
@@ -165,7 +165,7 @@ def test_nonsense_is_refused(changes: dict[str, Any], text: str) -> None:
         tiny(**changes)
 
 
-def test_given_scenes_must_not_be_the_judged_ones(tmp_path: Path) -> None:
+def test_scenes_of_the_evaluation_are_refused_for_training(tmp_path: Path) -> None:
     (tmp_path / "scenes.json").write_text(json.dumps({"part": "part_a", "seed": 7}))
     with pytest.raises(ValueError, match="the training scenes are those of seed 7, which are judged"):
         tiny(training=tmp_path)
@@ -176,7 +176,7 @@ def test_given_scenes_must_not_be_the_judged_ones(tmp_path: Path) -> None:
         tiny(training=tmp_path)
 
 
-def test_what_is_not_there_claims_no_folder(tmp_path: Path) -> None:
+def test_missing_scenes_or_parts_leave_no_folder(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere holds no scene_"):
         run_ablation(tiny(validation=tmp_path / "nowhere"), tmp_path / "out")
     with pytest.raises(ValueError, match="part must be one of"):
@@ -195,7 +195,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, AblationTable,
 
 
 @pytest.mark.slow
-def test_every_row_is_trained_chosen_and_judged(done: tuple[Path, AblationTable, list[str]]) -> None:
+def test_every_row_is_trained_and_evaluated(done: tuple[Path, AblationTable, list[str]]) -> None:
     out, table, lines = done
     assert [r.key for r in table.rows] == [r.key for r in ROWS]
     assert [len(r.each) for r in table.rows] == [1, 2, 2, 2, 2, 2, 2]
@@ -218,7 +218,7 @@ def test_every_row_is_trained_chosen_and_judged(done: tuple[Path, AblationTable,
 
 
 @pytest.mark.slow
-def test_it_goes_on_where_it_was(done: tuple[Path, AblationTable, list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_ablation_is_resumed(done: tuple[Path, AblationTable, list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     out, table, _ = done
     stamps = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
     monkeypatch.setattr(ablation, "train", None)
@@ -233,7 +233,7 @@ def test_it_goes_on_where_it_was(done: tuple[Path, AblationTable, list[str]], mo
 
 
 @pytest.mark.slow
-def test_a_stopped_training_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_training_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = tiny(steps=3, training_seeds=1, count=1)
     steps: list[str] = []
 

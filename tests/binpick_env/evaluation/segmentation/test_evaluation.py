@@ -25,7 +25,7 @@ from tests.binpick_env.evaluation.segmentation.small_evaluation import SCENES, s
 
 
 def predict_instead(monkeypatch: pytest.MonkeyPatch, answer: Any) -> None:
-    """Let ``answer(ids)`` of each scene's true ids be what the predictor says."""
+    """Replace the predictions of each scene by ``answer(ids)`` of its true ids."""
     truths = {}
     for index in range(3):
         scene = make_scene(SCENES, index).scene
@@ -67,7 +67,7 @@ def test_the_truth_scores_one_and_nothing_scores_zero(
     assert {band.found50 for band in nothing.by_visible_fraction if band.parts} == {0.0}
 
 
-def test_one_part_taken_for_another_is_seen(
+def test_two_merged_parts_lower_the_ap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, config: EvaluationConfig
 ) -> None:
     predict_instead(monkeypatch, lambda ids: perfect(np.where(ids == 1, 0, ids)))
@@ -75,7 +75,7 @@ def test_one_part_taken_for_another_is_seen(
     assert summary_of(config, tmp_path, 3).ap < 0.9
 
 
-def test_bands_share_the_counted_parts_out(tmp_path: Path, config: EvaluationConfig) -> None:
+def test_each_counted_part_is_in_one_band(tmp_path: Path, config: EvaluationConfig) -> None:
     list(evaluate_scenes(config, 3, tmp_path))
     assert [high for _, high in BANDS[:-1]] == [low for low, _ in BANDS[1:]]
     scores = load_scores(tmp_path, 3)
@@ -88,7 +88,7 @@ def test_bands_share_the_counted_parts_out(tmp_path: Path, config: EvaluationCon
         assert score.clutter.median == np.median(make_scene(SCENES, score.index).scene.visible_fractions)
 
 
-def test_a_scenes_time_is_that_of_its_stages_after_a_first_run(config: EvaluationConfig) -> None:
+def test_a_scenes_time_is_the_sum_of_its_stages_after_a_warm_up(config: EvaluationConfig) -> None:
     calls: list[int] = []
     method = Segmenter(config.method)
     segment = method.segment
@@ -108,7 +108,7 @@ def test_a_scenes_time_is_that_of_its_stages_after_a_first_run(config: Evaluatio
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_run_goes_on_and_damaged_records_are_made_again(
+def test_a_run_is_resumed_and_damaged_records_are_computed_again(
     tmp_path: Path, config: EvaluationConfig, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert list(evaluate_scenes(config, 2, tmp_path)) == [0, 1]
@@ -163,7 +163,7 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path, config: EvaluationCo
         replace(record, ms={"total": 1.0})
 
 
-def test_another_evaluations_folder_is_refused(tmp_path: Path, config: EvaluationConfig, weights: Path) -> None:
+def test_a_folder_of_another_evaluation_is_refused(tmp_path: Path, config: EvaluationConfig, weights: Path) -> None:
     list(evaluate_scenes(config, 1, tmp_path))
     copy = tmp_path / "copy.safetensors"
     for suffix in (".safetensors", ".json"):
@@ -177,7 +177,7 @@ def test_another_evaluations_folder_is_refused(tmp_path: Path, config: Evaluatio
         next(evaluate_scenes(replace(config, method=config.method.with_grouping_distance(3.0)), 1, tmp_path))
 
 
-def test_what_cannot_be_done_claims_no_folder(tmp_path: Path, config: EvaluationConfig) -> None:
+def test_an_invalid_evaluation_leaves_no_folder(tmp_path: Path, config: EvaluationConfig) -> None:
     out = tmp_path / "out"
     lost = MethodConfig(weights=tmp_path / "none.safetensors")
     for wrong, error, text in (
@@ -195,7 +195,7 @@ def test_what_cannot_be_done_claims_no_folder(tmp_path: Path, config: Evaluation
 
 
 @pytest.mark.parametrize("use", ["trained_on", "validated_on"])
-def test_scenes_that_the_weights_have_seen_are_refused(use: str, tmp_path: Path) -> None:
+def test_scenes_of_the_training_are_refused(use: str, tmp_path: Path) -> None:
     path = tmp_path / "seen.safetensors"
     save_network(path, tiny_grid(), {use: [{"part": "bracket", "seed": 7}, {"part": "tee", "seed": 8}]})
     seen = EvaluationConfig(scenes=replace(SCENES, seed=8), method=MethodConfig(weights=path))

@@ -1,4 +1,4 @@
-"""Every method labels the same points, and its settings arrive where they are meant."""
+"""Every method labels all points, and its settings take effect."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +42,7 @@ def test_every_method_labels_the_same_points(weights: Path, sgpn_weights: Path) 
         assert Segmenter(method).segment(no_points(), scene.surface, scene.d_max) == []
 
 
-def test_the_distance_mask_is_what_it_says(weights: Path, sgpn_weights: Path) -> None:
+def test_the_distance_mask_limits_the_extent_of_groups(weights: Path, sgpn_weights: Path) -> None:
     scene = make_scene(SCENES, 0).scene
 
     def widest(method: MethodConfig) -> float:
@@ -56,7 +56,7 @@ def test_the_distance_mask_is_what_it_says(weights: Path, sgpn_weights: Path) ->
         assert widest(replace(loose, mask=True)) < 1.05
 
 
-def test_settings_are_tried_at_once(weights: Path) -> None:
+def test_several_grouping_distances_give_the_same_as_one_by_one(weights: Path) -> None:
     scene = make_scene(SCENES, 0).scene
     for method, settings in (
         (MethodConfig(weights=weights), (1.0, 7.5)),
@@ -72,7 +72,7 @@ def test_settings_are_tried_at_once(weights: Path) -> None:
     assert MethodConfig(weights=weights).grouping_distance == 9.0
 
 
-def test_a_network_is_kept_until_its_weights_change(tmp_path: Path) -> None:
+def test_a_network_is_cached_until_its_weights_change(tmp_path: Path) -> None:
     path = tmp_path / "w.safetensors"
     save_network(path, tiny_grid(), {})
     method = MethodConfig(weights=path)

@@ -1,4 +1,4 @@
-"""Colours say which prediction is which part."""
+"""Pictures: each point has the colour of its instance, at its pixel."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def test_a_prediction_has_the_colour_of_the_part_it_fits() -> None:
     assert len(np.unique(prediction_colours(scene), axis=0)) == 2
 
 
-def test_what_fits_no_part_is_striped() -> None:
+def test_an_instance_without_a_part_is_striped() -> None:
     scene = record(labels=[0, 1, 2, 2], ids=[0, 0, 0, 1])  # two pieces and a mix, of IoU 1/3, 1/3 and 1/2 with part 1
     colours = {tuple(colour) for colour in prediction_colours(scene).tolist()}
     assert colours == {RED, WHITE}
@@ -71,7 +71,7 @@ def test_stripes_cover_the_points_of_their_instance_alone() -> None:
     np.testing.assert_array_equal(striped, np.repeat([False, False, True, True, False], 10))
 
 
-def test_what_does_not_count_is_grey() -> None:
+def test_uncounted_parts_and_the_container_are_grey() -> None:
     scene = record(labels=[0, 1, 2, -1, 2], ids=[0, 2, -1, 1, -1])
     colours = prediction_colours(scene).reshape(5, 10, 3)
     np.testing.assert_array_equal(colours[0, 0], part_colours(3)[0])

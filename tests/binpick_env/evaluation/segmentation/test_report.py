@@ -18,15 +18,15 @@ from tests.binpick_env.evaluation.segmentation.small_evaluation import SCENES, s
 
 
 @pytest.fixture(scope="module")
-def judged(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> tuple[Path, EvaluationConfig]:
-    folder = tmp_path_factory.mktemp("judged")
+def evaluated(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> tuple[Path, EvaluationConfig]:
+    folder = tmp_path_factory.mktemp("evaluated")
     config = EvaluationConfig(scenes=SCENES, method=MethodConfig(weights=weights))
     list(evaluate_scenes(config, 3, folder))
     return folder, config
 
 
-def test_the_numbers_have_the_keys_of_the_contract(judged: tuple[Path, EvaluationConfig]) -> None:
-    folder, config = judged
+def test_the_numbers_have_the_keys_of_the_contract(evaluated: tuple[Path, EvaluationConfig]) -> None:
+    folder, config = evaluated
     values = asdict(summary_of(config, folder, 3))
     assert {
         "ap", "ap50", "ap75", "ap25", "ms_per_scene", "intervals", "by_visible_fraction", "clutter", "ms", "scenes",
@@ -42,8 +42,8 @@ def test_the_numbers_have_the_keys_of_the_contract(judged: tuple[Path, Evaluatio
     assert "torch" in values["versions"]
 
 
-def test_the_table_says_where_its_numbers_come_from(judged: tuple[Path, EvaluationConfig]) -> None:
-    folder, config = judged
+def test_the_table_says_where_its_numbers_come_from(evaluated: tuple[Path, EvaluationConfig]) -> None:
+    folder, config = evaluated
     summary = summary_of(config, folder, 3)
     text = segmentation_table(summary)
     assert "tee · tiny.safetensors · sensor good · 3 scenes · seed 7" in text
@@ -61,8 +61,8 @@ def test_nothing_to_sum_up_is_refused(config: EvaluationConfig) -> None:
         summarise(config, [], np.random.default_rng(0))
 
 
-def test_the_report_shows_the_worst_scenes_first(tmp_path: Path, judged: tuple[Path, EvaluationConfig]) -> None:
-    folder, config = judged
+def test_the_report_shows_the_worst_scenes_first(tmp_path: Path, evaluated: tuple[Path, EvaluationConfig]) -> None:
+    folder, config = evaluated
     scores = load_scores(folder, 3)
     scores = [replace(score, ap=ap) for score, ap in zip(scores, (0.9, np.nan, 0.2), strict=True)]
     assert [score.index for score in worst_first(scores)] == [2, 0, 1]
@@ -76,7 +76,7 @@ def test_the_report_shows_the_worst_scenes_first(tmp_path: Path, judged: tuple[P
     assert not re.search(r"https?://|<script|<link|@import|url\(", text)
 
 
-def test_an_empty_bin_is_judged_and_shown(tmp_path: Path, config: EvaluationConfig) -> None:
+def test_an_empty_bin_is_evaluated_and_shown(tmp_path: Path, config: EvaluationConfig) -> None:
     empty = replace(config, scenes=replace(SCENES, num_parts=(0, 0)))
     list(evaluate_scenes(empty, 1, tmp_path))
     summary = summary_of(empty, tmp_path, 1)
@@ -86,8 +86,8 @@ def test_an_empty_bin_is_judged_and_shown(tmp_path: Path, config: EvaluationConf
     assert "Scene 0" in (tmp_path / "report.html").read_text()
 
 
-def test_settings_are_kept_as_json(tmp_path: Path, judged: tuple[Path, EvaluationConfig]) -> None:
-    folder, config = judged
+def test_settings_are_kept_as_json(tmp_path: Path, evaluated: tuple[Path, EvaluationConfig]) -> None:
+    folder, config = evaluated
     save_summary(tmp_path / "n.json", summary_of(config, folder, 3))
     kept = json.loads((tmp_path / "n.json").read_text())
     assert kept["config"]["method"]["weights"] == kept["weights"]["sha256"] == config.method.digest()

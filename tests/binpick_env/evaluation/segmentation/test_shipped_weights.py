@@ -1,4 +1,4 @@
-"""The weights in the package find most parts of bins that no training has seen."""
+"""The weights in the package find most parts of bins that were in no training."""
 
 from pathlib import Path
 
