@@ -38,10 +38,10 @@ def run(args: Arguments) -> int:
 
 
 def _draw(args: Arguments) -> str:
-    from policies.report.portrait import portrait, save_png
+    from policies.report.portrait import cell_picture, save_png
 
     if args.show == "cell":
-        picture = portrait(args.part, args.seed, args.width, args.height)
+        picture = cell_picture(args.part, args.seed, args.width, args.height)
     else:
         picture = (_segmentation if args.show == "segmentation" else _poses)(args.part, args.seed)
     out = args.out or Path("docs") / f"{args.show}.png"

@@ -48,7 +48,7 @@ class CellCache(AbstractContextManager["CellCache"]):
         self.close()
 
 
-def watched_env(config: EvaluationConfig) -> WatchedEnv:
+def make_env(config: EvaluationConfig) -> WatchedEnv:
     """Build the environment of ``config``; it computes on one thread, see `perception.runtime.threads`."""
     return WatchedEnv(
         part=config.options().load_part(),
@@ -64,5 +64,5 @@ def watched_env(config: EvaluationConfig) -> WatchedEnv:
 
 def scripted_cell(config: EvaluationConfig) -> Cell:
     """Build the cell with the scripted picker."""
-    env = watched_env(config)
+    env = make_env(config)
     return Cell(env, ScriptedPicker(env, config.picker))

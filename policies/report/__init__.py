@@ -1,1 +1,5 @@
-"""What a person looks at: reports, pictures, films, recordings."""
+"""Reports of an evaluation: HTML pages, pictures, films and recordings."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -34,7 +34,7 @@ _CSS = """
 """
 
 
-def gallery(records: Sequence[BinRecord], pictures: str) -> str:
+def gallery_section(records: Sequence[BinRecord], pictures: str) -> str:
     """Return the section of the page that shows every decision.
 
     Args:

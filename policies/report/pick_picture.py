@@ -86,7 +86,7 @@ class Crop:
         self.strokes(ends[None], colour, thickness)
 
 
-def pick_picture(decision: Decision, edges: SeenEdges) -> Picture:
+def draw_decision(decision: Decision, edges: SeenEdges) -> Picture:
     """Return the square BGR picture of a decision.
 
     An attempt's picture is centred on the grasp and shows the chosen candidate and the jaw. An abstention's picture

@@ -10,7 +10,7 @@ from binpick_env.cell.simulation import Simulation
 from binpick_env.env import BinPickEnv
 from perception.geometry import Floats
 from policies.evaluation.listeners import BinListener, Decision
-from policies.report.pick_picture import part_edges, pick_picture
+from policies.report.pick_picture import draw_decision, part_edges
 
 OVERVIEW = (640, 480)  # width and height [px]
 QUALITY = {".jpg": (cv2.IMWRITE_JPEG_QUALITY, 82), ".webp": (cv2.IMWRITE_WEBP_QUALITY, 80)}
@@ -34,7 +34,7 @@ class Album(BinListener):
 
     def after_decision(self, env: BinPickEnv, decision: Decision) -> str:  # noqa: ARG002
         """Write the picture of a decision and return the file's name."""
-        picture = pick_picture(decision, part_edges(decision.labelled_capture.part))
+        picture = draw_decision(decision, part_edges(decision.labelled_capture.part))
         return self._write(picture, f"pick_{decision.number:02d}.webp")
 
     def bin_ended(self, env: BinPickEnv) -> str:

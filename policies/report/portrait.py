@@ -1,4 +1,4 @@
-"""A picture of the cell for a README: a settled bin with the arm over it."""
+"""A picture of the whole cell: a settled bin with the arm over it."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ _ARRIVED = 0.01  # largest joint error [rad] and velocity [rad/s] at which the a
 _SUPERSAMPLING = 2
 
 
-def portrait(part: str, seed: int, width: int, height: int) -> NDArray[np.uint8]:
+def cell_picture(part: str, seed: int, width: int, height: int) -> NDArray[np.uint8]:
     """Return an (H, W, 3) uint8 RGB picture of a settled bin of ``part`` with the arm over it.
 
     Args:

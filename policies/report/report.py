@@ -12,7 +12,7 @@ from policies.evaluation.records import BinRecord, PickRecord
 from policies.evaluation.statistics import Interval, Rate
 from policies.evaluation.summary import Summary
 from policies.grasping.outcomes import GraspOutcome
-from policies.report.gallery import FAILED_AT, colour, gallery, linked_bars, relative_folder, strip, title
+from policies.report.gallery import FAILED_AT, colour, gallery_section, linked_bars, relative_folder, strip, title
 
 COLUMNS = (
     "#",
@@ -49,7 +49,7 @@ def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pic
         _headline(summary),
         _perception(summary),
         _outcomes(summary),
-        gallery(records, relative_folder(pictures, path)),
+        gallery_section(records, relative_folder(pictures, path)),
         "<h2>Bins</h2>" + "".join(_bin(record, pictures) for record in records),
         _provenance(summary),
     ]

@@ -13,7 +13,7 @@ from binpick_env.jobs.text_tables import columns
 from perception.geometry import Floats
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, versions
-from policies.evaluation.cell import Cell, watched_env
+from policies.evaluation.cell import Cell, make_env
 from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import Job, run_job
 from policies.evaluation.records import BinRecord
@@ -34,7 +34,7 @@ def selector_cell(spec: str, config: EvaluationConfig) -> Cell:
         spec: Name of a heuristic or of a shipped selector, path to a trained one, or `HINDSIGHT`.
         config: Settings of cell and picker.
     """
-    env = watched_env(config)
+    env = make_env(config)
     if spec == HINDSIGHT:
         return Cell(env, HindsightPicker(env, ScriptedPicker(env, config.picker)))
     return Cell(env, SelectorPicker(env, load_selector(spec), ScriptedPicker(env, config.picker)))

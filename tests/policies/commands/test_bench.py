@@ -16,7 +16,7 @@ def test_a_pile_that_does_not_settle_is_one_line_in_every_command(
     def fail(*_: object, **__: object) -> None:
         raise SettleError("25 parts do not come to rest")
 
-    monkeypatch.setattr(portrait, "portrait", fail)
+    monkeypatch.setattr(portrait, "cell_picture", fail)
     monkeypatch.setattr(cell, "bench_cell", fail)
     for call in (lambda: picture.main([]), lambda: bench.main(["cell"])):
         assert call() == 2

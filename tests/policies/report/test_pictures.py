@@ -17,7 +17,7 @@ from policies.evaluation.frame_record import record_frame
 from policies.evaluation.listeners import Decision
 from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
 from policies.report import pictures
-from policies.report.pick_picture import CROP, CROP_PX, Crop, pick_picture
+from policies.report.pick_picture import CROP, CROP_PX, Crop, draw_decision
 from policies.report.pictures import Album
 from tests.policies.fake_cell import BLOCK, candidate, frame, grasp, labelled_capture, observed
 
@@ -69,7 +69,7 @@ def test_the_chosen_pose_is_drawn_in_its_place_green_if_correct(error: float, co
     view = labelled_capture(np.array([1.0, 1.0]))
     moved = make_transform(translation=(error, 0.0, 0.0))
     found = ObservedCandidates(candidates=[candidate(view, 0, moved), candidate(view, 1)])
-    picture = pick_picture(decision(view, found, grasp()), Corners())
+    picture = draw_decision(decision(view, found, grasp()), Corners())
     drawn = near(picture, colour)
     middle = 1000 * error * 0.9 / 0.89  # the upper face is 10 mm nearer to the camera
     face = 25 * 0.9 / 0.89
@@ -85,7 +85,7 @@ def test_points_have_the_colour_of_the_part_that_their_segment_matches() -> None
     found = observed(view, [list(range(80, 130)), list(range(130, 200))], [candidate(view, 0)])
     looked_at = grasp()
     object.__setattr__(looked_at, "T_world_grasp", make_transform(np.diag([1.0, -1, -1]), (0.41, 0.18, 0.0)))
-    picture = pick_picture(decision(view, found, looked_at), Corners())
+    picture = draw_decision(decision(view, found, looked_at), Corners())
     crop = Crop(frame(), np.array([0.41, 0.18, 0.0]), CROP)
     columns = np.flatnonzero(near(picture, tuple(part_colours(3)[1].tolist()), by=20).any(axis=0))
     first, last = (crop.scale * (u - 79.5 - 20) + CROP_PX / 2 for u in (79.5, 129.5))
@@ -97,7 +97,7 @@ def test_an_abstention_shows_the_whole_bin_with_all_candidates() -> None:
     found = ObservedCandidates(
         candidates=[candidate(view, 0), candidate(view, 1, make_transform(translation=(0.0, 0.02, 0.0)))]
     )
-    picture = pick_picture(decision(view, found), Corners())
+    picture = draw_decision(decision(view, found), Corners())
     assert near(picture, RIGHT, 90).any()
     assert near(picture, WRONG, 90).any()
     both = near(picture, RIGHT, 90) | near(picture, WRONG, 90)
@@ -108,7 +108,7 @@ def test_an_abstention_shows_the_whole_bin_with_all_candidates() -> None:
 def test_an_empty_bin_has_a_picture() -> None:
     view = labelled_capture(np.empty(0))
     found = observed(view, [], [])
-    assert pick_picture(decision(view, found), Corners()).shape == (CROP_PX, CROP_PX, 3)
+    assert draw_decision(decision(view, found), Corners()).shape == (CROP_PX, CROP_PX, 3)
 
 
 def test_an_album_writes_what_opencv_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

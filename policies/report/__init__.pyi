@@ -1,0 +1,11 @@
+from .budget_report import budget_table as budget_table
+from .budget_report import write_budget_report as write_budget_report
+from .conclusion import conclude as conclude
+from .conclusion import conclude_budget as conclude_budget
+from .media import BinMedia as BinMedia
+from .pictures import Album as Album
+from .portrait import cell_picture as cell_picture
+from .portrait import save_png as save_png
+from .recording import Recording as Recording
+from .report import write_report as write_report
+from .video import Film as Film
