@@ -1,1 +1,5 @@
 """The depth camera: rendering, sensor noise and the frames it delivers."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

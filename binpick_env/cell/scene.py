@@ -9,7 +9,7 @@ import trimesh
 
 from binpick_env.cell.robot import robot_spec
 from binpick_env.config import CellConfig, ContactConfig
-from binpick_env.parts import Part
+from binpick_env.parts.part import Part
 from perception.geometry import Floats, make_transform, quat_from_matrix
 
 VISIBLE, COLLISION = 2, 3

@@ -11,7 +11,7 @@ from binpick_env.cell.robot import ARM_JOINTS, FINGER_PADS, GRIPPER, GRIPPER_ACT
 from binpick_env.cell.scene import BIN_BODY, PART, TABLE_GEOM, TRAY_BODY, cell_spec, parking_poses
 from binpick_env.cell.simulation_state import Origin, SimulationSnapshot
 from binpick_env.config import CONTROL_PERIOD, CellConfig
-from binpick_env.parts import Part
+from binpick_env.parts.part import Part
 from perception.geometry import Floats, make_transform, matrix_from_quat, quat_from_matrix
 
 ARENA = 128 << 20  # memory of a state for contacts and constraints [bytes]

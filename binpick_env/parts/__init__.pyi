@@ -6,4 +6,3 @@ from .pieces import convex_pieces as convex_pieces
 from .symmetry import SymmetrySettings as SymmetrySettings
 from .symmetry import detect_symmetry as detect_symmetry
 from .symmetry import symmetry_error as symmetry_error
-from .unit import Unit as Unit

@@ -1,8 +1,11 @@
 """``BinPick-v0``: Gymnasium's and SB3's contracts, and repeatability."""
 
 import inspect
+import os
 import pickle
 import re
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
 
@@ -209,3 +212,13 @@ def test_a_loaded_part_is_pickled_with_its_env() -> None:
     assert copy.render_mode == "rgb_array"
     assert copy.part.source == "bracket"
     assert_same(env.reset(seed=0)[0], copy.reset(seed=0)[0])
+
+
+def test_help_works_after_importing_the_package_alone() -> None:
+    """In a fresh interpreter, which loads the environment's modules only when they are asked for."""
+    code = (
+        "import pydoc, sys, binpick_env; loaded = 'mujoco' in sys.modules; "
+        "print(loaded, '## Action space' in pydoc.render_doc(binpick_env.env.BinPickEnv))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], env=os.environ, capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["False", "True"]

@@ -1,0 +1,10 @@
+from . import env as env
+from .candidates import PoseCandidate as PoseCandidate
+from .config import BinConfig as BinConfig
+from .config import CameraConfig as CameraConfig
+from .config import CellConfig as CellConfig
+from .config import ContactConfig as ContactConfig
+from .config import RobotConfig as RobotConfig
+from .config import TrayConfig as TrayConfig
+from .env import BinPickEnv as BinPickEnv
+from .options import CellOptions as CellOptions

@@ -1,0 +1,11 @@
+from .candidate_from_pose import make_candidate as make_candidate
+from .factory import make_perceiver as make_perceiver
+from .labelled_capture import LabelledCapture as LabelledCapture
+from .noisy_oracle import NoisyOraclePerceiver as NoisyOraclePerceiver
+from .observed_candidates import ObservedCandidates as ObservedCandidates
+from .oracle import OraclePerceiver as OraclePerceiver
+from .oracle import PoseNoise as PoseNoise
+from .perceiver import Perceiver as Perceiver
+from .perception_noise import NoiseError as NoiseError
+from .perception_noise import PerceptionNoise as PerceptionNoise
+from .pixel_perceiver import PixelPerceiver as PixelPerceiver
