@@ -8,7 +8,8 @@ import numpy as np
 from binpick_env.camera.depth_camera import DepthCamera
 from binpick_env.cell.simulation import Simulation
 from binpick_env.config import CameraConfig, CellConfig
-from binpick_env.parts import Part, Unit, load_part
+from binpick_env.parts.part import Part, load_part
+from binpick_env.parts.unit import Unit
 from perception.boundary import extract_boundary
 from perception.geometry import Floats, make_transform
 from perception.pose.model._pair_kernels import tangent_frames
