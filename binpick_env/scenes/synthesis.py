@@ -20,7 +20,9 @@ from binpick_env.config import CameraConfig, CellConfig, SensorChoice, SensorPre
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.options import CellOptions
-from binpick_env.parts import CATALOGUE, Part, Unit
+from binpick_env.parts.catalogue import CATALOGUE
+from binpick_env.parts.part import Part
+from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
 from perception.boundary import extract_boundary
 from perception.geometry import Floats, invert_transform, make_transform, rotation_about, transform_point_each
