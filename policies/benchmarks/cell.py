@@ -1,4 +1,4 @@
-"""How fast the cell is: settling, stepping, looking, picking. Everything on one core."""
+"""Speed of the cell on one core: settling, stepping, rendering, picking."""
 
 import logging
 import time
@@ -18,8 +18,8 @@ from policies.benchmarks.measurement import Measurement, repeat, seconds
 from policies.picking.scripted import ScriptedPicker
 
 _log = logging.getLogger(__name__)
-MAX_PILES = 20  # until the attempts must have come together
-STEPS = 50  # of a sample of the resting cell: 2 s of simulated time
+MAX_PILES = 20  # limit on the piles that the attempts are collected from
+STEPS = 50  # steps per sample of the resting cell: 2 s of simulated time
 _BACKENDS: tuple[Backend, ...] = get_args(Backend)
 
 
@@ -27,11 +27,11 @@ def bench_cell(part: str, count: int, seed: int, repeats: int, picks: int) -> It
     """Measure the cell with ``count`` copies of ``part``; a row comes as soon as it is measured.
 
     Args:
-        part: Catalogue name or mesh file.
-        count: Parts in the bin.
-        seed: Of the first pile; pile k of a repeated measurement has seed + k.
-        repeats: Of every row but those of picking.
-        picks: Attempts that the rows of picking are made of; each is a sample.
+        part: Catalogue name, or path to a mesh file.
+        count: Number of parts in the bin.
+        seed: Seed of the first pile; pile k of a repeated measurement has seed + k.
+        repeats: Number of samples in each row, except those of picking.
+        picks: Number of attempts in the rows of picking, each of which is a sample.
 
     Raises:
         ValueError: There is no such part, or a number is not positive.
@@ -71,25 +71,25 @@ def _resting_steps(env: BinPickEnv) -> float:
 
 
 def _camera(env: BinPickEnv, backend: Backend, repeats: int) -> Iterator[Measurement]:
-    """Measure one backend; without a GL driver there is no row of "egl"."""
+    """Measure one backend; without a GL driver there is no row for "egl"."""
     simulation = env.simulation
     config = replace(env.config.camera, backend=backend)
     rng = np.random.default_rng(0)
     camera: DepthCamera | None = None
     try:
         camera = DepthCamera(simulation.model, config, env.workspace, simulation.part_of_geom, threads=1)
-        camera.capture(simulation.data, rng, "good")  # compiles kernels, makes contexts; the driver is tried only here
+        camera.capture(simulation.data, rng, "good")  # compiles kernels; a missing driver shows only here
     except (RuntimeError, ImportError) as error:
         if camera is not None:
             camera.close()
         if backend != "egl":
             raise
-        _log.warning("there is no row of %r: %s", backend, error)
+        _log.warning("there is no row for %r: %s", backend, error)
         return
-    look = partial(camera.capture, simulation.data, rng, "good")
+    capture = partial(camera.capture, simulation.data, rng, "good")
     try:
         name = f"camera frame {config.width} x {config.height}, {backend}"
-        yield repeat(name, "s", lambda _: seconds(look), repeats)
+        yield repeat(name, "s", lambda _: seconds(capture), repeats)
     finally:
         camera.close()
 

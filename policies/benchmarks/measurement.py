@@ -1,4 +1,4 @@
-"""Timings that can be kept and compared: repeated, with their spread, beside the machine they were taken on."""
+"""Repeated timings with their spread, which can be saved with the machine they were taken on, and compared."""
 
 import json
 import time
@@ -19,9 +19,9 @@ class Measurement:
     """One row of a benchmark.
 
     Attributes:
-        name: What was measured.
-        unit: Of the values.
-        values: One for each repeat.
+        name: Measured quantity; rows of two runs are compared if their names are equal.
+        unit: Unit of the values.
+        values: Measured value of each repeat.
     """
 
     name: str
@@ -34,24 +34,31 @@ class Measurement:
 
     @property
     def median(self) -> float:
-        """The value that is compared."""
+        """Median of the values, which is compared between runs."""
         return float(np.median(self.values))
 
 
 def repeat(name: str, unit: str, sample: Callable[[int], float], repeats: int) -> Measurement:
-    """Take ``sample(k)`` for every k below ``repeats``."""
+    """Measure ``sample(k)`` for every k below ``repeats``.
+
+    Args:
+        name: Measured quantity.
+        unit: Unit of the values.
+        sample: Function that takes one measurement, given its number.
+        repeats: Number of measurements.
+    """
     return Measurement(name=name, unit=unit, values=tuple(sample(k) for k in range(repeats)))
 
 
 def seconds(call: Callable[[], object]) -> float:
-    """Return how long ``call`` takes [s]."""
+    """Return the wall clock time of ``call()`` [s]."""
     start = time.perf_counter()
     call()
     return time.perf_counter() - start
 
 
 def benchmark_table(rows: Sequence[Measurement]) -> str:
-    """Return medians with their spread as text."""
+    """Return the medians and their spread as text."""
     cells: list[tuple[str, ...]] = [("", "median", "lowest", "highest", "repeats")]
     for row in rows:
         numbers = (f"{value:.4g}" for value in (row.median, min(row.values), max(row.values)))
@@ -60,7 +67,11 @@ def benchmark_table(rows: Sequence[Measurement]) -> str:
 
 
 def comparison_table(before: Sequence[Measurement], after: Sequence[Measurement]) -> str:
-    """Return the medians of two runs side by side; a change within both runs' spread is marked as noise."""
+    """Return the medians of two runs side by side; a change is noise if the ranges of values overlap.
+
+    Raises:
+        ValueError: The runs have no measurement in common.
+    """
     old = {row.name: row for row in before}
     cells: list[tuple[str, ...]] = [("", "before", "after", "change", "")]
     for row in after:
@@ -77,14 +88,14 @@ def comparison_table(before: Sequence[Measurement], after: Sequence[Measurement]
 
 
 def save_benchmark(path: Path, name: str, rows: Sequence[Measurement]) -> None:
-    """Write the rows with machine, versions, commit and command."""
+    """Write a benchmark as JSON, with machine, versions, commit and command."""
     facts: dict[str, Any] = {"benchmark": name, "machine": machine()}
     facts |= {"commit": git_commit(), "command": command_line(), "versions": versions()}
     write_atomically(path, json_text({**facts, "rows": [asdict(row) for row in rows]}))
 
 
 def load_benchmark(path: Path) -> list[Measurement]:
-    """Read what :func:`save_benchmark` wrote.
+    """Read the rows that :func:`save_benchmark` wrote.
 
     Raises:
         ValueError: The file is not a benchmark.

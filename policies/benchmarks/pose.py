@@ -1,8 +1,9 @@
-"""Pose estimation against other people's on the same inputs: who is right how often, and how long it takes.
+"""Pose estimation compared with other libraries on the same inputs: recognition rates and times.
 
-True segments, for which the peers are given every pixel of the true part with its depth and a normal that is not
-counted in their time, more than any segmentation would give them; and whole bins, where the pose of any part is right.
-All are judged by the paper's criterion: 10 % of d_max at the part's centre and 5 degrees modulo symmetry.
+Inputs are true segments, and whole bins, in which the pose of any part is right. On a segment the peers are given
+every pixel of the true part with its depth and a normal, which is more than any segmentation would give them; the time
+of computing normals is not counted. A pose is right by the paper's criterion: 10 % of d_max at the part's centre and
+5 degrees modulo symmetry.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,19 +31,19 @@ SEGMENTS, WHOLE = "true segments", "whole bins"
 
 @dataclass(frozen=True, kw_only=True)
 class PoseRow(Measurement):
-    """The times of one method on one kind of input [ms], and how often it was right.
+    """Times of one method on one kind of input [ms], and how often its best pose was right.
 
     Attributes:
-        inputs: `SEGMENTS` or `WHOLE`.
-        method: Name.
-        version: Of it.
-        threads: That it might use.
-        build_s: Building its models [s].
-        cpu_ms: Time of all processors for each of the values [ms].
-        trials: Cases.
-        right: Of them, how many times the best pose was right, for each repeat.
-        found: Instances found by all poses together, in the first repeat.
-        to_find: Of how many.
+        inputs: Kind of input, `SEGMENTS` or `WHOLE`.
+        method: Name of the method.
+        version: Version of the method.
+        threads: Number of threads that the method may use.
+        build_s: Time of building the method's models [s].
+        cpu_ms: Processor time, summed over processors, for each of the values [ms].
+        trials: Number of cases.
+        right: Number of cases in which the best pose was right, for each repeat.
+        found: Number of instances found by all poses together, in the first repeat.
+        to_find: Number of instances that have to be found.
     """
 
     inputs: str
@@ -58,7 +59,7 @@ class PoseRow(Measurement):
 
     @property
     def typical(self) -> int:
-        """Times the best pose was right in the median repeat."""
+        """Number of cases in which the best pose was right, in the median repeat."""
         return sorted(self.right)[len(self.right) // 2]
 
 
@@ -70,15 +71,18 @@ def bench_pose(
     interpreters: Mapping[str, Path | None],
     peers: Sequence[Peer] = PEERS,
 ) -> Iterator[PoseRow]:
-    """Measure ours and every peer that has an interpreter, with one thread and two; rows come method by method.
+    """Measure our method and every peer that has an interpreter, with one thread and with two.
 
     Args:
-        part: Catalogue name or mesh file.
-        seed: Of the scenes.
+        part: Catalogue name, or path to a mesh file.
+        seed: Seed of the scenes.
         count: Number of scenes, each of three segments.
-        whole_scenes: How many of them are searched as a whole, too.
-        interpreters: By peer's family; those without one are left out, with a line in the log.
-        peers: That are compared.
+        whole_scenes: Number of scenes that are also searched as a whole.
+        interpreters: Python interpreter of each family of peers; families without one are left out, with a warning.
+        peers: Methods that are compared with ours.
+
+    Yields:
+        The rows of each method as it is measured.
 
     Raises:
         ValueError: There is no such part, or a number is out of range.
@@ -86,22 +90,30 @@ def bench_pose(
     """
     model = load_part(part).model
     peers = available(peers, interpreters)
-    sights, cases = pose_cases(part, seed, count, whole_scenes)
+    scenes, cases = pose_cases(part, seed, count, whole_scenes)
     points, segments = model_points(model), [case for case in cases if case.instance is not None]
     for threads in THREADS:
-        yield from pose_rows(OURS, threads, cases, run_ours(part, sights, cases, threads), model)
+        yield from pose_rows(OURS, threads, cases, run_ours(part, scenes, cases, threads), model)
         for peer in peers:
-            asked = cases if peer.whole_scenes else segments
+            given = cases if peer.whole_scenes else segments
             python = interpreters[peer.family]
-            if python is not None and asked:
-                answers = run_peer(peer, python, points, model.d_max, asked, threads)
-                yield from pose_rows(peer.name, threads, asked, answers, model)
+            if python is not None and given:
+                answers = run_peer(peer, python, points, model.d_max, given, threads)
+                yield from pose_rows(peer.name, threads, given, answers, model)
 
 
 def pose_rows(
     method: str, threads: int, cases: Sequence[PoseCase], answers: Answers, part: PartModel
 ) -> Iterator[PoseRow]:
-    """Judge a method's answers; a row for segments and one for whole bins, where there are any."""
+    """Yield the row of the segments and that of the whole bins, if there are such cases.
+
+    Args:
+        method: Name of the method.
+        threads: Number of threads that the method was allowed.
+        cases: Cases with their true poses.
+        answers: Poses that the method found in the cases.
+        part: Model of the part.
+    """
     for inputs in (SEGMENTS, WHOLE):
         chosen = [k for k, case in enumerate(cases) if (case.instance is None) == (inputs == WHOLE)]
         if not chosen:
@@ -128,13 +140,13 @@ def pose_rows(
 
 
 def judge(case: PoseCase, poses: Floats, scores: Floats, part: PartModel) -> tuple[bool, int]:
-    """Return whether the best pose is right, and how many instances the poses asked for find together.
+    """Return whether the best pose is right, and the number of instances that the first ``case.top`` poses find.
 
     Args:
-        case: With its truth.
-        poses: (H, 4, 4), the best first; those that are not finite are wrong.
-        scores: (H,).
-        part: That was looked for.
+        case: Case with its true poses.
+        poses: (H, 4, 4) ``T_cam_part``, the best first; a pose that is not finite is wrong.
+        scores: (H,) scores, higher is better.
+        part: Model of the part.
     """
     poses, scores = poses[: case.top], scores[: case.top]
     finite = np.isfinite(poses).all(axis=(1, 2)) & np.isfinite(scores)
@@ -145,10 +157,10 @@ def judge(case: PoseCase, poses: Floats, scores: Floats, part: PartModel) -> tup
 
 
 def pose_table(rows: Sequence[PoseRow]) -> str:
-    """Return recognition with its 95 % interval and the lowest and highest repeat, instances found, and times."""
+    """Return recognition with its 95 % interval and range over repeats, instances found, and times, as text."""
     ours = {(row.inputs, row.threads): row.median for row in rows if row.method == OURS}
-    head = ("", "threads", "recognised", "", "95 %", "repeats", "found", "median ms", "CPU ms", "of ours", "build s")
-    cells: list[tuple[str, ...]] = [head]
+    header = ("", "threads", "recognised", "", "95 %", "repeats", "found", "median ms", "CPU ms", "of ours", "build s")
+    cells: list[tuple[str, ...]] = [header]
     for row in rows:
         share = rate(row.typical, row.trials)
         reference = ours.get((row.inputs, row.threads))

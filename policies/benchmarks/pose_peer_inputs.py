@@ -1,4 +1,4 @@
-"""What all methods of the pose benchmark are given: segments and whole bins, as boundary points and as surfaces."""
+"""Inputs of the pose benchmark: segments and whole bins, as boundary points and as surface points with normals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ from perception.pose.candidates import nearest_groups
 from perception.pose.model.surface_models import surface_model
 from perception.segmentation.grouping.similarity import GroupingConfig
 
-MODEL_SPACING = 0.012  # of d_max: some ten thousand points
-NEIGHBOURS = 60  # of a normal; with a good sensor it is off by 3 deg at the median
-_BLOCK = 20_000  # normals computed at once
+MODEL_SPACING = 0.012  # spacing of model points, as a share of d_max: some ten thousand points
+NEIGHBOURS = 60  # points behind a normal, whose median error is 3 deg with the sensor preset "good"
+_BLOCK = 20_000  # number of normals computed at once
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Sight:
-    """What our own method looks at."""
+class SceneInput:
+    """One scene as our own method is given it."""
 
     boundary: BoundaryCloud
     frame: Frame
@@ -35,18 +35,18 @@ class Sight:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PoseCase:
-    """One search.
+    """One search for the part, with its true poses.
 
     Attributes:
-        sight: Index of its scene among the sights.
-        instance: The true segment; None where a whole bin is searched.
-        points: (N, 6) measured surface points [m] and unit normals, camera frame: what the peers are given.
-        T_cam_parts: (P, 4, 4) true poses, each of which is right.
-        to_find: (P,) bool which of them have to be found.
-        top: Number of poses that are asked for.
+        scene: Index of the scene among the scene inputs.
+        instance: True segment; None if a whole bin is searched.
+        points: (N, 6) measured surface points [m] with unit normals, camera frame; the input of the peers.
+        T_cam_parts: (P, 4, 4) true poses; each of them counts as right.
+        to_find: (P,) bool, whether the part has to be found.
+        top: Number of poses that a method may return.
     """
 
-    sight: int
+    scene: int
     instance: Instance | None
     points: Floats
     T_cam_parts: Floats
@@ -67,18 +67,18 @@ def model_points(part: PartModel) -> Floats:
     return np.hstack([model.points, model.normals])
 
 
-def pose_cases(part: str, seed: int, count: int, whole_scenes: int) -> tuple[list[Sight], list[PoseCase]]:
-    """Return the sights of ``count`` scenes and the cases: first all segments, then the first scenes as a whole.
+def pose_cases(part: str, seed: int, count: int, whole_scenes: int) -> tuple[list[SceneInput], list[PoseCase]]:
+    """Return ``count`` scenes and the cases in them: all segments, then the first scenes as a whole.
 
-    The segments are the true ones of a recognition trial: the three nearest to P of each scene. For the peers a
-    segment is every pixel of the true part that has a depth, which no segmentation would give them; ours gets only
-    the boundary points among them.
+    The segments are the true ones of a recognition trial: the three of each scene whose sizes are nearest to P. For the
+    peers a segment is every pixel of the true part that has a depth, which no segmentation would give them; our method
+    is given only the boundary points among them.
 
     Args:
-        part: Catalogue name or mesh file.
-        seed: Of the scenes.
+        part: Catalogue name, or path to a mesh file.
+        seed: Seed of the scenes.
         count: Number of scenes.
-        whole_scenes: How many of them are searched as a whole, too.
+        whole_scenes: Number of scenes that are also searched as a whole.
 
     Raises:
         ValueError: There is no such part, or a number is out of range.
@@ -87,18 +87,24 @@ def pose_cases(part: str, seed: int, count: int, whole_scenes: int) -> tuple[lis
         raise ValueError(f"count must be at least 1 and whole_scenes from 0 to it, got {count} and {whole_scenes}")
     config = SceneConfig(part=part, seed=seed)
     expected = whole_part_points(part, None, config.camera)
-    sights, segments, wholes = [], [], []
+    scenes, segments, wholes = [], [], []
     for k in range(count):
         made = make_scene(config, k)
-        sights.append(Sight(boundary=made.scene.boundary, frame=made.capture.frame))
+        scenes.append(SceneInput(boundary=made.scene.boundary, frame=made.capture.frame))
         segments += segment_cases(made, k, expected)
         if k < whole_scenes:
             wholes.append(whole_case(made, k))
-    return sights, segments + wholes
+    return scenes, segments + wholes
 
 
-def segment_cases(made: CapturedScene, sight: int, expected: float) -> list[PoseCase]:
-    """Return a case for each of the three true segments nearest to P; ``expected`` is P times depth [m]."""
+def segment_cases(made: CapturedScene, index: int, expected: float) -> list[PoseCase]:
+    """Return a case for each of the three true segments whose sizes are nearest to P.
+
+    Args:
+        made: Scene with its capture.
+        index: Index of the scene.
+        expected: P times depth [m].
+    """
     scene, capture = made.scene, made.capture
     parts, sizes = np.unique(scene.instance_ids[scene.instance_ids >= 0], return_counts=True)
     large = sizes >= GroupingConfig().min_points
@@ -110,7 +116,7 @@ def segment_cases(made: CapturedScene, sight: int, expected: float) -> list[Pose
     cloud = deproject_depth(capture.frame.K, capture.frame.depth)
     return [
         PoseCase(
-            sight=sight,
+            scene=index,
             instance=Instance(point_idx=np.flatnonzero(scene.instance_ids == i), score=1.0),
             points=with_normals(cloud[capture.frame.valid & (capture.instance_ids == i)]),
             T_cam_parts=scene.T_cam_parts[i : i + 1],
@@ -121,8 +127,8 @@ def segment_cases(made: CapturedScene, sight: int, expected: float) -> list[Pose
     ]
 
 
-def whole_case(made: CapturedScene, sight: int) -> PoseCase:
-    """Return the case of a whole bin, container removed; as many poses are asked for as parts lie in it."""
+def whole_case(made: CapturedScene, index: int) -> PoseCase:
+    """Return the case of a whole bin without the container; a method may return one pose per part in the bin."""
     scene, frame = made.scene, made.capture.frame
     points = deproject_depth(frame.K, frame.depth)[frame.valid]
     limits = BoundarySettings()
@@ -132,7 +138,7 @@ def whole_case(made: CapturedScene, sight: int) -> PoseCase:
         .contains(transform_points(frame.T_world_cam, points), margin=limits.margin, headroom=limits.headroom)
     )
     return PoseCase(
-        sight=sight,
+        scene=index,
         instance=None,
         points=with_normals(points[inside]),
         T_cam_parts=scene.T_cam_parts,
@@ -142,7 +148,7 @@ def whole_case(made: CapturedScene, sight: int) -> PoseCase:
 
 
 def with_normals(points: Floats) -> Floats:
-    """Return (N, 6): the (N, 3) points [m] and the normals of planes through their neighbours, towards the camera."""
+    """Return (N, 6): the (N, 3) points [m] with unit normals towards the camera, of planes fitted to neighbours."""
     require_shape("points", points, (None, 3))
     if len(points) < 3:
         raise ValueError(f"a plane needs at least 3 points, got {len(points)}")

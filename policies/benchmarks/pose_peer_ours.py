@@ -1,4 +1,4 @@
-"""Our own pose estimation, timed as the peers are: in a process of its own, kept on as many cores as it may use."""
+"""Our own pose estimation, timed as the peers are: in its own process, pinned to as many cores as it may use."""
 
 import multiprocessing
 import os
@@ -14,18 +14,18 @@ from binpick_env.parts import load_part
 from perception.pose.estimator import PoseEstimator
 from perception.pose.pose_estimate import PoseEstimate
 from policies.benchmarks.peers.worker import pin
-from policies.benchmarks.pose_peer_inputs import PoseCase, Sight
+from policies.benchmarks.pose_peer_inputs import PoseCase, SceneInput
 from policies.benchmarks.pose_peers import Answers, thread_variables
 
 
-def run_ours(part: str, sights: Sequence[Sight], cases: Sequence[PoseCase], threads: int) -> Answers:
-    """Let `PoseEstimator` answer the cases in a new process.
+def run_ours(part: str, scenes: Sequence[SceneInput], cases: Sequence[PoseCase], threads: int) -> Answers:
+    """Run `PoseEstimator` on the cases in a new process.
 
     Args:
-        part: Catalogue name or mesh file.
-        sights: What the cases are seen in.
-        cases: At least one.
-        threads: That it may use.
+        part: Catalogue name, or path to a mesh file.
+        scenes: Scenes that the cases refer to.
+        cases: Searches, at least one.
+        threads: Number of threads that the process may use.
 
     Raises:
         ValueError: There is no case.
@@ -35,26 +35,35 @@ def run_ours(part: str, sights: Sequence[Sight], cases: Sequence[PoseCase], thre
     with _variables(thread_variables(threads)):
         executor = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
         with executor:
-            return executor.submit(_answer, part, sights, cases, threads).result()
+            return executor.submit(_answer, part, scenes, cases, threads).result()
 
 
-def _answer(part: str, sights: Sequence[Sight], cases: Sequence[PoseCase], threads: int) -> Answers:
+def _answer(part: str, scenes: Sequence[SceneInput], cases: Sequence[PoseCase], threads: int) -> Answers:
     pin(threads)
     cv2.setNumThreads(threads)
     start = time.perf_counter()
     estimator = PoseEstimator(load_part(part).model)
-    return answer(estimator, sights, cases, time.perf_counter() - start)
+    return answer(estimator, scenes, cases, time.perf_counter() - start)
 
 
-def answer(estimator: PoseEstimator, sights: Sequence[Sight], cases: Sequence[PoseCase], build_s: float) -> Answers:
-    """Answer each case once, after one of each kind to warm up."""
+def answer(
+    estimator: PoseEstimator, scenes: Sequence[SceneInput], cases: Sequence[PoseCase], build_s: float
+) -> Answers:
+    """Estimate poses in each case once, after a warm-up with one case of each kind.
+
+    Args:
+        estimator: Estimator of the part.
+        scenes: Scenes that the cases refer to.
+        cases: Searches, at least one.
+        build_s: Time of building the estimator [s].
+    """
     for kind in (True, False):
         for case in [case for case in cases if (case.instance is None) == kind][:1]:
-            _estimates(estimator, sights[case.sight], case)
+            _estimates(estimator, scenes[case.scene], case)
     found, wall, cpu = [], [], []
     for case in cases:
         clock = time.perf_counter(), time.process_time()
-        found.append(_estimates(estimator, sights[case.sight], case))
+        found.append(_estimates(estimator, scenes[case.scene], case))
         wall.append(1000 * (time.perf_counter() - clock[0]))
         cpu.append(1000 * (time.process_time() - clock[1]))
     return Answers(
@@ -67,16 +76,16 @@ def answer(estimator: PoseEstimator, sights: Sequence[Sight], cases: Sequence[Po
     )
 
 
-def _estimates(estimator: PoseEstimator, sight: Sight, case: PoseCase) -> list[PoseEstimate]:
+def _estimates(estimator: PoseEstimator, scene: SceneInput, case: PoseCase) -> list[PoseEstimate]:
     if case.instance is None:
-        return estimator.estimate_scene(sight.boundary, sight.frame)[: case.top]
-    poses = estimator.estimate_groups(sight.boundary, [case.instance], sight.frame)
+        return estimator.estimate_scene(scene.boundary, scene.frame)[: case.top]
+    poses = estimator.estimate_groups(scene.boundary, [case.instance], scene.frame)
     return [pose for pose in poses if pose is not None]
 
 
 @contextmanager
 def _variables(values: dict[str, str]) -> Iterator[None]:
-    """Set environment variables for processes that are started in here."""
+    """Set environment variables for processes that are started inside the context."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

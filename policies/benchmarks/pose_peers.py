@@ -1,7 +1,8 @@
-"""Other people's pose estimation in environments of its own, on the inputs that ours is given.
+"""Pose estimation of other libraries, run in environments of their own on the inputs of our method.
 
-A peer is a file in `policies/peers` that runs under the interpreter of an environment with its package; the two
-packages cannot live beside the project's own OpenCV. Inputs and answers pass through files; see `peers/worker.py`.
+A peer is a file in `policies/benchmarks/peers` that runs under the Python interpreter of an environment with its
+package; neither package can be installed beside the project's OpenCV. Inputs and answers are exchanged through files;
+see `peers/worker.py`.
 """
 
 import logging
@@ -29,14 +30,14 @@ class Peer:
     """A method that is compared with ours.
 
     Attributes:
-        name: In the table.
-        family: Key of its interpreter, and of the option that names it.
-        method: File in the format of `peers/worker.py`.
-        probe: Python that fails where the package is missing.
-        packages: What pip has to install.
-        setting: Handed to the method.
-        repeats: Of each case; more than one for a method that is not reproducible.
-        whole_scenes: Whether it can search a whole bin.
+        name: Name in the table.
+        family: Library; peers of one family share an interpreter and the command line option that names it.
+        method: Path of a Python file with the functions that `peers/worker.py` calls.
+        probe: Python code that fails if the package is missing.
+        packages: Packages that pip has to install.
+        setting: Text that is passed to the method.
+        repeats: Number of runs on each case, more than one for a method that is not reproducible.
+        whole_scenes: Whether the method can search a whole bin.
     """
 
     name: str
@@ -81,15 +82,15 @@ PEERS = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Answers:
-    """What a method found in C cases, each asked R times.
+    """Poses that a method found in C cases, each repeated R times.
 
     Attributes:
-        version: Of the method.
-        build_s: Building its models [s].
-        ms: (R, C) wall clock [ms].
-        cpu_ms: (R, C) time of all processors [ms].
-        poses: For each repeat and case (H, 4, 4) ``T_cam_part``, the best first.
-        scores: For each the (H,) scores, higher is better.
+        version: Version of the method.
+        build_s: Time of building the method's models [s].
+        ms: (R, C) wall clock time [ms].
+        cpu_ms: (R, C) processor time, summed over processors [ms].
+        poses: (H, 4, 4) ``T_cam_part``, the best first, for each repeat and case.
+        scores: (H,) scores, higher is better, for each repeat and case.
     """
 
     version: str
@@ -109,7 +110,12 @@ class Answers:
 
 
 def available(peers: Sequence[Peer], interpreters: Mapping[str, Path | None]) -> list[Peer]:
-    """Return the peers that can run; of the others a line is logged that says how to get them."""
+    """Return the peers that can run; for each other family a warning says how to install it.
+
+    Args:
+        peers: Peers to check.
+        interpreters: Python interpreter of each family.
+    """
     faults = {peer.family: fault(peer, interpreters.get(peer.family)) for peer in {p.family: p for p in peers}.values()}
     for text in filter(None, faults.values()):
         _log.warning(text)
@@ -117,7 +123,7 @@ def available(peers: Sequence[Peer], interpreters: Mapping[str, Path | None]) ->
 
 
 def fault(peer: Peer, python: Path | None) -> str | None:
-    """Return why the peer cannot run with this interpreter and what to do about it, or None."""
+    """Return why the peer cannot run under the interpreter ``python`` and how to install it; None if it can run."""
     option, place = f"--{peer.family}-python", f"runs/peers/{peer.family}"
     remedy = f"python3 -m venv {place} && {place}/bin/pip install {' '.join(peer.packages)}"
     if python is None:
@@ -132,19 +138,19 @@ def fault(peer: Peer, python: Path | None) -> str | None:
 
 
 def run_peer(peer: Peer, python: Path, model: Floats, d_max: float, cases: Sequence[PoseCase], threads: int) -> Answers:
-    """Let a peer answer the cases in its own process.
+    """Run a peer on the cases in its own process.
 
     Args:
-        peer: That `available` returned.
-        python: Its interpreter.
-        model: (M, 6) points on the part [m] and normals, part frame.
-        d_max: The part's diameter [m].
-        cases: At least one.
-        threads: That it may use; it is kept on as many cores.
+        peer: Peer that `available` returned.
+        python: Interpreter of the peer's environment.
+        model: (M, 6) points on the part [m] with unit normals, part frame.
+        d_max: Diameter of the part [m].
+        cases: Searches, at least one.
+        threads: Number of threads that the peer may use; it is pinned to as many cores.
 
     Raises:
         ValueError: There is no case.
-        RuntimeError: The peer failed; the text ends with what it said last.
+        RuntimeError: The peer failed; the text ends with the last line of its error output.
     """
     if not cases:
         raise ValueError(f"{peer.name} needs at least one case, got none")
@@ -156,18 +162,18 @@ def run_peer(peer: Peer, python: Path, model: Floats, d_max: float, cases: Seque
         command += [str(threads), str(peer.repeats), peer.setting]
         done = subprocess.run(command, capture_output=True, text=True, env=_environment(threads))
         if done.returncode != 0:
-            said = _last_line(done.stderr) or "no word"
-            raise RuntimeError(f"{peer.name} failed with exit code {done.returncode}: {said}")
+            reason = _last_line(done.stderr) or "no output"
+            raise RuntimeError(f"{peer.name} failed with exit code {done.returncode}: {reason}")
         return _load(answers)
 
 
 def thread_variables(threads: int) -> dict[str, str]:
-    """Return the variables that hold numerical libraries to so many threads."""
+    """Return environment variables that limit numerical libraries to ``threads`` threads."""
     return dict.fromkeys(_VARIABLES, str(threads))
 
 
 def _environment(threads: int) -> dict[str, str]:
-    """Return a peer's variables: ours, without the paths by which it would find our packages instead of its own."""
+    """Return a peer's environment variables: ours without the paths by which it would import our packages."""
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONHOME")}
     return kept | thread_variables(threads) | {"PYTHONDONTWRITEBYTECODE": "1"}
 

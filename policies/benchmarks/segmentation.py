@@ -1,4 +1,4 @@
-"""How fast segmentation is: scenes, a frame from pixels to labels, and training steps before and after each saving."""
+"""Speed of segmentation: scenes, a frame from pixels to labels, and training steps with and without each saving."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -19,17 +19,17 @@ from perception.segmentation.training.losses import PairLossConfig
 from perception.segmentation.training.presets import PRESETS, TrainingConfig
 from policies.benchmarks.measurement import Measurement, repeat, seconds
 
-CLOUDS, POINTS = 4, 1024  # of a training step, as in every row so that they can be compared
+CLOUDS, POINTS = 4, 1024  # clouds per training step and points per cloud, the same in every row
 
 
 def bench_segmentation(part: str, seed: int, repeats: int, threads: int) -> Iterator[Measurement]:
-    """Measure with ``threads`` threads of torch; scenes are made on one core. A row comes as soon as it is measured.
+    """Measure segmentation; scenes are made on one core. Each row is yielded as it is measured.
 
     Args:
-        part: Catalogue name or mesh file, with weights.
-        seed: Of the scenes.
-        repeats: Of every row.
-        threads: Of torch.
+        part: Catalogue name, or path to a mesh file, of a part with weights.
+        seed: Seed of the scenes.
+        repeats: Number of samples in each row.
+        threads: Number of torch's threads.
 
     Raises:
         ValueError: There is no such part, or a number is not positive.
@@ -92,7 +92,7 @@ def _training(part: str, seed: int, repeats: int) -> Iterator[Measurement]:
 
 
 def training_rows() -> dict[str, TrainingConfig]:
-    """Return the trainings that are timed: the paper's, each saving added to the one before, and ours."""
+    """Return the trainings that are timed: the paper's, then with one more saving each, and ours."""
     all_pairs = replace(PRESETS["paper"], batch=CLOUDS, points=POINTS)
     anchored = replace(all_pairs, pairs=PairLossConfig(anchors=256))
     halved = replace(anchored, bf16=True)

@@ -1,4 +1,4 @@
-"""How fast a selector can gather experience: attempts a second in full and fast, many processes at once."""
+"""Speed of gathering experience: attempts per second in the full and the fast simulation, in many processes."""
 
 import time
 from collections.abc import Iterator
@@ -23,14 +23,14 @@ MODES: dict[str, dict[str, Any]] = {
 def bench_selection(
     part: str, seed: int, picks: int, workers: int, perception: str = "oracle"
 ) -> Iterator[Measurement]:
-    """Measure attempts a second of all processes together; a row comes as soon as it is measured.
+    """Measure attempts per second of all processes together; each row is yielded as it is measured.
 
     Args:
-        part: Catalogue name or mesh file.
-        seed: Of the first pile of the first process.
-        picks: Attempts that each process makes; settling new piles is part of the time, compiling is not.
-        workers: Processes, one core each; each is a sample.
-        perception: Of the cell.
+        part: Catalogue name, or path to a mesh file.
+        seed: Seed of the first pile of the first process.
+        picks: Number of attempts per process; the time includes settling new piles, but no compilation.
+        workers: Number of processes with one core each; each is a sample.
+        perception: Source of the poses, as in `BinPickSelect-v0`.
 
     Raises:
         ValueError: There is no such part, or a number is not positive.
@@ -46,7 +46,7 @@ def bench_selection(
 
 
 def _seconds(arguments: dict[str, Any], seed: int, picks: int, index: int) -> float:
-    """Return how long ``picks`` attempts of the weighted heuristic take [s]."""
+    """Return the wall clock time of ``picks`` attempts of the weighted heuristic [s]."""
     env = GraspSelectionEnv(**arguments)
     selector, rng = WeightedSelector(), np.random.default_rng(0)
     observation, _ = env.reset(seed=seed + 1000 * index)

@@ -1,8 +1,8 @@
 """Open3D's FPFH features, RANSAC and ICP, for `worker.py`. It is not reproducible, seeded or not.
 
-Both registrations go from segment to model, which no hidden side of the model can pull away; of the settings tried on
-development scenes (voxels of 0.02 to 0.05 diameters, RANSAC and ICP either way, up to a million iterations, normals
-given or its own) none was clearly better on both the tee and the bracket.
+Both registrations go from segment to model, so that the self-occluded side of the model cannot pull the pose away.
+None of the settings tried on development scenes (voxels of 0.02 to 0.05 diameters, RANSAC and ICP in either direction,
+up to a million iterations, the given normals or Open3D's) was clearly better on both the tee and the bracket.
 """
 
 from collections.abc import Callable
@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-VOXEL = 0.04  # of the diameter
-GATES = (0.1, 0.05, 0.02)  # of ICP, stage by stage, in diameters
-ITERATIONS = 100_000
+VOXEL = 0.04  # voxel size as a share of the diameter
+GATES = (0.1, 0.05, 0.02)  # correspondence distances of the stages of ICP, as shares of the diameter
+ITERATIONS = 100_000  # of RANSAC
 
 
 def version() -> str:
@@ -22,7 +22,14 @@ def version() -> str:
 
 
 def build(model: Any, d_max: float, threads: int, setting: str) -> Callable[[Any, int], tuple[Any, Any]]:  # noqa: ARG001
-    """Compute the model's features; threads are the environment's."""
+    """Compute the model's features and return the estimator.
+
+    Args:
+        model: (M, 6) points on the part [m] with unit normals.
+        d_max: Diameter of the part [m].
+        threads: Unused; environment variables limit Open3D's threads.
+        setting: Unused.
+    """
     o3d = _open3d()
     o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
     registration, voxel = o3d.pipelines.registration, VOXEL * d_max

@@ -1,10 +1,11 @@
 """OpenCV's surface point pair features and ICP (``ppf_match_3d`` of opencv-contrib), for `worker.py`.
 
-What its samples leave open was chosen for the peer's best on nine segments of each part at a step of 0.1. The side of
-the model that faces the camera is registered to the measured points: registering the whole model, as the samples do,
-lets its hidden side pull the pose away (22 of 45 right instead of 27). On a segment the five clusters with most votes
-are tried and the least residual decides; in a whole scene, where a residual says little, the votes decide. Model and
-scene are scaled to a diameter of 1, since one threshold of the matching is absolute.
+Settings that the library's samples leave open are the best for this peer on nine segments of each part at a step of
+0.1. ICP registers the model's surface that faces the camera to the measured points: registering the whole model, as
+the samples do, lets its self-occluded side pull the pose away (22 of 45 right instead of 27). On a segment the five
+clusters with most votes are registered and the smallest residual decides; in a whole scene, where the residual is not
+informative, the votes decide. Model and scene are scaled to a diameter of 1, since one threshold of the matching is
+absolute.
 """
 
 from collections.abc import Callable
@@ -13,11 +14,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-HYPOTHESES = 5
-EVERY = 10  # one in so many measured points goes into ICP: 3000 of a segment's 30 000
-REACH = 0.6  # of the diameter: points this near to a pose's centre are registered in a whole scene
-ENOUGH = 100  # points on either side of a registration
-FAILED = 1e9  # its ICP returns "ok" and a residual of 1e10 where it fails
+HYPOTHESES = 5  # clusters that are registered on a segment
+EVERY = 10  # stride of the measured points for ICP: 3000 of a segment's 30 000 are used
+REACH = 0.6  # largest distance of registered points from a pose's centre, as a share of the diameter
+ENOUGH = 100  # smallest number of points on either side of a registration
+FAILED = 1e9  # residual of a failed registration; ICP returns "ok" and a residual of 1e10 then
 
 
 def version() -> str:
@@ -26,7 +27,14 @@ def version() -> str:
 
 
 def build(model: Any, d_max: float, threads: int, setting: str) -> Callable[[Any, int], tuple[Any, Any]]:
-    """Train on the model; ``setting`` is the distance step as a share of the diameter."""
+    """Train on the model and return the estimator.
+
+    Args:
+        model: (M, 6) points on the part [m] with unit normals.
+        d_max: Diameter of the part [m].
+        threads: Number of OpenCV's threads.
+        setting: Distance step as a share of the diameter.
+    """
     cv2.setNumThreads(threads)
     step = float(setting)
     scaled = _scaled(model, d_max)
@@ -50,7 +58,7 @@ def build(model: Any, d_max: float, threads: int, setting: str) -> Callable[[Any
 
 
 def _registered(T: Any, model: Any, cloud: Any) -> tuple[Any, float]:
-    """Return the pose moved onto the cloud and the residual; the same pose where that fails."""
+    """Return the pose registered to the cloud and the residual; the same pose and `FAILED` if registration fails."""
     R = T[:3, :3]
     posed = np.hstack([model[:, :3] @ R.T + T[:3, 3], model[:, 3:] @ R.T])
     facing = posed[np.sum(posed[:, :3] * posed[:, 3:], axis=1) < -0.2 * np.linalg.norm(posed[:, :3], axis=1)]

@@ -1,8 +1,8 @@
-"""A peer's half of the protocol of `policies.benchmarks.pose_peers`; runs in the peer's environment, on numpy alone.
+"""The peer's side of `policies.benchmarks.pose_peers`, which runs in the peer's environment and needs only numpy.
 
 A method is a file with ``version() -> str`` and ``build(model, d_max, threads, setting) -> estimate``, where
 ``estimate(points, top)`` returns (H, 4, 4) poses ``T_cam_part``, the best first, and their (H,) scores. Model (M, 6)
-and points (N, 6) are float64 positions [m] and unit normals.
+and points (N, 6) are float64 positions [m] with unit normals.
 """
 
 import os
@@ -14,23 +14,23 @@ import numpy as np
 
 
 def serve(method_file: str, inputs: str, answers: str, threads: str, repeats: str, setting: str) -> None:
-    """Read the inputs, let the method answer each case ``repeats`` times after one warm-up, write answers and times.
+    """Run the method on each case ``repeats`` times after one warm-up, and write its poses and times.
 
     Args:
-        method_file: Of the method.
-        inputs: ``.npz`` with ``model``, ``d_max``, ``tops`` (C,), and the points of case k as ``case_k``.
-        answers: ``.npz`` to write: ``version``, ``build_s``, ``ms`` and ``cpu_ms`` (R, C), ``counts`` (R, C) of poses,
-            and the ``poses`` (sum, 4, 4) with their ``scores`` one after the other.
-        threads: That may be used.
-        repeats: R.
-        setting: Handed on to the method.
+        method_file: Path of the method.
+        inputs: Path of an ``.npz`` with ``model``, ``d_max``, ``tops`` (C,), and the points of case k as ``case_k``.
+        answers: Path of the ``.npz`` to write: ``version``, ``build_s``, ``ms`` and ``cpu_ms`` (R, C), numbers of poses
+            ``counts`` (R, C), and all ``poses`` (sum of counts, 4, 4) and ``scores``, concatenated.
+        threads: Number of threads that may be used.
+        repeats: Number of runs on each case, R.
+        setting: Text that is passed to the method.
     """
     pin(int(threads))
     method = runpy.run_path(method_file)
-    with np.load(inputs) as given:
-        cases = [(given[f"case_{k}"], int(top)) for k, top in enumerate(given["tops"])]
+    with np.load(inputs) as stored:
+        cases = [(stored[f"case_{k}"], int(top)) for k, top in enumerate(stored["tops"])]
         start = time.perf_counter()
-        estimate = method["build"](given["model"], float(given["d_max"]), int(threads), setting)
+        estimate = method["build"](stored["model"], float(stored["d_max"]), int(threads), setting)
         build_s = time.perf_counter() - start
     estimate(*cases[0])
     found = [[_timed(estimate, *case) for case in cases] for _ in range(int(repeats))]
@@ -48,13 +48,13 @@ def serve(method_file: str, inputs: str, answers: str, threads: str, repeats: st
 
 
 def pin(threads: int) -> None:
-    """Keep this process on as many cores: not every library's threads can be counted out to it."""
+    """Pin this process to ``threads`` cores, since not every library's number of threads can be set."""
     if hasattr(os, "sched_setaffinity"):  # Linux
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
 
 
 def _timed(estimate: Any, points: Any, top: int) -> tuple[Any, Any, float, float]:
-    """Return poses, scores, wall clock and processor time [ms]."""
+    """Return poses, scores, wall clock time and processor time [ms]."""
     wall, cpu = time.perf_counter(), time.process_time()
     poses, scores = estimate(points, top)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu

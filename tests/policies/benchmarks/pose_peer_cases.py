@@ -41,7 +41,7 @@ def build(model, d_max, threads, setting):
 def case(T: Floats | None = None, top: int = 1, *, whole: bool = False, points: Floats | None = None) -> PoseCase:
     T_cam_parts = np.reshape(make_transform(translation=(0, 0, 1)) if T is None else T, (-1, 4, 4))
     return PoseCase(
-        sight=0,
+        scene=0,
         instance=None if whole else Instance(point_idx=np.arange(3), score=1.0),
         points=np.ones((5, 6)) if points is None else points,
         T_cam_parts=T_cam_parts,

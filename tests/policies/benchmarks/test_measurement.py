@@ -14,7 +14,7 @@ from policies.benchmarks.measurement import (
 )
 
 
-def row(*values: float, name: str = "look") -> Measurement:
+def row(*values: float, name: str = "frame") -> Measurement:
     return Measurement(name=name, unit="s", values=values)
 
 
@@ -28,7 +28,7 @@ def test_rows_survive_their_file_with_where_they_come_from(tmp_path: Path) -> No
 
 
 def test_a_table_shows_median_and_spread() -> None:
-    assert benchmark_table([row(1.0, 4.0, 2.0)]).splitlines()[1].split() == ["look", "[s]", "2", "1", "4", "3"]
+    assert benchmark_table([row(1.0, 4.0, 2.0)]).splitlines()[1].split() == ["frame", "[s]", "2", "1", "4", "3"]
 
 
 def test_a_comparison_tells_change_from_noise() -> None:
@@ -49,5 +49,5 @@ def test_nonsense_is_refused(tmp_path: Path) -> None:
         load_benchmark(tmp_path / "x.json")
     with pytest.raises(ValueError, match="no measurement in common"):
         comparison_table([row(1.0)], [row(1.0, name="drop")])
-    with pytest.raises(ValueError, match="'look' needs at least one value"):
+    with pytest.raises(ValueError, match="'frame' needs at least one value"):
         row()

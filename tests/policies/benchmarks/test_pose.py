@@ -1,6 +1,5 @@
 """Methods are judged alike, with one thread and two; no real peer is run here."""
 
-import importlib.util
 import json
 import os
 import sys
@@ -21,6 +20,7 @@ from policies.benchmarks.pose import OURS, PoseRow, bench_pose, judge, pose_rows
 from policies.benchmarks.pose_peer_inputs import PoseCase, pose_cases
 from policies.benchmarks.pose_peer_ours import answer, run_ours
 from policies.benchmarks.pose_peers import Answers, Peer
+from policies.commands import bench as command
 from tests.policies.benchmarks.pose_peer_cases import TEE, case, fake_peer
 
 
@@ -133,9 +133,9 @@ class FakeEstimator:
 
 def test_ours_is_warmed_up_and_asked_once_for_each_case() -> None:
     estimator: Any = FakeEstimator()
-    sights: Any = [SimpleNamespace(boundary=None, frame=None)]
+    scenes: Any = [SimpleNamespace(boundary=None, frame=None)]
     third = replace(case(), instance=Instance(point_idx=np.array([3, 4]), score=1.0))
-    got = answer(estimator, sights, [case(), third, case(whole=True)], build_s=2.0)
+    got = answer(estimator, scenes, [case(), third, case(whole=True)], build_s=2.0)
     assert estimator.asked == ["scene", "group", "group", "group", "scene"]
     assert [len(poses) for poses in got.poses[0]] == [0, 1, 1]  # none found; one; of two the one that was asked for
     assert got.poses[0][1][0, 0, 3] == 3
@@ -148,7 +148,7 @@ def test_ours_is_warmed_up_and_asked_once_for_each_case() -> None:
 def test_every_method_is_measured_with_one_thread_and_two(fake: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
     cases = [case(), case(whole=True)]
 
-    def truth(part: str, sights: object, cases: Sequence[PoseCase], threads: int) -> Answers:
+    def truth(part: str, scenes: object, cases: Sequence[PoseCase], threads: int) -> Answers:
         return answers([found.T_cam_parts[:1] for found in cases])
 
     monkeypatch.setattr(bench, "pose_cases", lambda *_: ([], cases))
@@ -163,35 +163,27 @@ def test_every_method_is_measured_with_one_thread_and_two(fake: Peer, monkeypatc
     assert len({row.name for row in rows}) == len(rows)
 
 
-def test_the_script_prints_the_table_and_ends_a_mistake_in_one_line(
+def test_the_command_prints_the_table_and_ends_a_mistake_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    path = Path(__file__).resolve().parents[3] / "scripts" / "bench.py"
-    spec = importlib.util.spec_from_file_location("script_bench_pose", path)
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, spec.name, script)
-    spec.loader.exec_module(script)
     rows = list(pose_rows(OURS, 1, [case()], answers([case().T_cam_parts[0]]), TEE))
     asked: list[object] = []
-    monkeypatch.setattr(bench, "bench_pose", lambda *args: asked.append(args) or iter(rows))
     file = tmp_path / "pose.json"
-    assert script.pose(script.Pose(part="tee", seed=3, opencv_python=Path("p"), save=file)) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(bench, "bench_pose", lambda *args: asked.append(args) or iter(rows))
+        assert command.run(command.Pose(part="tee", seed=3, opencv_python=Path("p"), save=file)) == 0
     assert pose_table(rows) in capsys.readouterr().out
     assert asked == [("tee", 3, 20, 2, {"opencv": Path("p"), "open3d": None})]
     assert load_benchmark(file)[0].name == rows[0].name
-    monkeypatch.undo()
-    monkeypatch.setitem(sys.modules, spec.name, script)
-    assert script.pose(script.Pose(part="teapot")) == 2
+    assert command.run(command.Pose(part="teapot")) == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: part must be one of part_a")
 
 
 @pytest.mark.slow
 def test_ours_runs_in_a_process_of_its_own() -> None:
     before = dict(os.environ)
-    sights, cases = pose_cases("tee", 31, 1, 0)
-    got = run_ours("tee", sights, cases, threads=1)
+    scenes, cases = pose_cases("tee", 31, 1, 0)
+    got = run_ours("tee", scenes, cases, threads=1)
     assert dict(os.environ) == before
     assert [len(poses) for poses in got.poses[0]] == [1, 1, 1]
     assert (got.ms > 0).all()

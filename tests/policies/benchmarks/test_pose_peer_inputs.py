@@ -32,7 +32,7 @@ def test_segments_are_the_true_parts_measured_surface(made: CapturedScene) -> No
     cases = segment_cases(made, 5, expected=500.0)
     assert len(cases) == 3
     for found in cases:
-        assert (found.sight, found.top, found.to_find.tolist()) == (5, 1, [True])
+        assert (found.scene, found.top, found.to_find.tolist()) == (5, 1, [True])
         assert found.instance is not None
         (part,) = set(made.scene.instance_ids[found.instance.point_idx])
         np.testing.assert_array_equal(found.T_cam_parts[0], made.scene.T_cam_parts[part])
@@ -56,7 +56,7 @@ def test_segments_are_those_nearest_to_a_whole_parts_size(made: CapturedScene) -
 
 def test_a_whole_bin_is_everything_in_it_but_the_container(made: CapturedScene) -> None:
     whole = whole_case(made, 2)
-    assert (whole.sight, whole.instance, whole.top) == (2, None, 4)
+    assert (whole.scene, whole.instance, whole.top) == (2, None, 4)
     np.testing.assert_array_equal(whole.T_cam_parts, made.scene.T_cam_parts)
     np.testing.assert_array_equal(whole.to_find, made.scene.visible_fractions >= 0.5)
     frame = made.capture.frame
