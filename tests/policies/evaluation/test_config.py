@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from binpick_env.config import CameraConfig, CellConfig
-from binpick_env.observation.perceiver import PoseNoise
+from binpick_env.observation.oracle import PoseNoise
 from policies.evaluation.config import EvaluationConfig, bin_seed
 from policies.evaluation.jobs import Job
 from policies.picking.settings import PickerSettings
