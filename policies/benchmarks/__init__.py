@@ -1,1 +1,5 @@
-"""Benchmarks: what is measured, and the peers it is measured against."""
+"""Benchmarks of speed, and of pose estimation against other libraries."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -112,13 +112,6 @@ SELECTORS: dict[str, Callable[[], Selector]] = {
 }
 
 
-def make_selector(name: str) -> Selector:
-    """Build the heuristic called ``name``."""
-    if name not in SELECTORS:
-        raise ValueError(f"selector must be one of {', '.join(SELECTORS)}, got {name!r}")
-    return SELECTORS[name]()
-
-
 def load_selector(spec: str) -> Selector:
     """Build the heuristic or load the trained selector that ``spec`` names.
 

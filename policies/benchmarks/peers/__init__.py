@@ -1,1 +1,1 @@
-"""Programs that run peers in environments of their own."""
+"""Other libraries' pose estimation, as files that run in the libraries' own environments."""

@@ -1,0 +1,11 @@
+from .cell import bench_cell as bench_cell
+from .measurement import Measurement as Measurement
+from .measurement import benchmark_table as benchmark_table
+from .measurement import comparison_table as comparison_table
+from .measurement import load_benchmark as load_benchmark
+from .measurement import save_benchmark as save_benchmark
+from .pose import PoseRow as PoseRow
+from .pose import bench_pose as bench_pose
+from .pose import pose_table as pose_table
+from .segmentation import bench_segmentation as bench_segmentation
+from .selection import bench_selection as bench_selection

@@ -1,0 +1,13 @@
+from .bandit import BanditConfig as BanditConfig
+from .bandit import Epoch as Epoch
+from .bandit import fit_bandit as fit_bandit
+from .bandit_run import train_bandit as train_bandit
+from .experience import AttemptLog as AttemptLog
+from .experience import Attempts as Attempts
+from .experience import Behaviour as Behaviour
+from .experience import Cells as Cells
+from .experience import ExperienceError as ExperienceError
+from .policy import SelectorPolicy as SelectorPolicy
+from .ppo import PpoConfig as PpoConfig
+from .ppo import TrainingError as TrainingError
+from .ppo import train_ppo as train_ppo
