@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+PIP := $(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt
 JOBS ?= 2
 BENCH ?= cell
 ARGS ?=
@@ -18,7 +18,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.run-stamp: pyproject.toml constraints.txt | $(BIN)/python
-	@echo "installing binpick into $(VENV) ..."
+	@echo "1 of 2  installing binpick into $(VENV): torch and MuJoCo are large, a few minutes the first time"
 	$(PIP) torch==2.13.0
 	$(PIP) -e .
 	@touch $@
@@ -32,7 +32,8 @@ $(VENV)/.dev-stamp: pyproject.toml constraints.txt | $(BIN)/python
 setup: $(VENV)/.dev-stamp  ## make .venv with everything for development
 
 pick: $(VENV)/.run-stamp  ## install, and run the main job on two bins of tees
-	$(BIN)/python scripts/pick.py --part tee --bins 2 $(ARGS)
+	@echo "2 of 2  picking two bins; part models and kernels are made once per machine, about a minute"
+	$(BIN)/binpick pick --part tee --bins 2 $(ARGS)
 
 test: $(VENV)/.dev-stamp  ## install, and run every test
 	$(BIN)/python -m pytest -n $(JOBS) $(ARGS)
@@ -49,12 +50,12 @@ type: $(VENV)/.dev-stamp  ## mypy --strict
 	$(BIN)/mypy scripts/*.py
 
 bench: $(VENV)/.run-stamp  ## a benchmark: make bench BENCH=cell ARGS='--save FILE'
-	$(BIN)/python scripts/bench.py $(BENCH) $(ARGS)
+	$(BIN)/binpick bench $(BENCH) $(ARGS)
 
 picture: $(VENV)/.run-stamp  ## the README's pictures
-	$(BIN)/python scripts/picture.py --part tee --seed 0 --out docs/cell.png
-	$(BIN)/python scripts/picture.py --show segmentation --part tee --seed 7 --out docs/segmentation.png
-	$(BIN)/python scripts/picture.py --show poses --part tee --seed 7 --out docs/poses.png
+	$(BIN)/binpick picture --part tee --seed 0 --out docs/cell.png
+	$(BIN)/binpick picture --show segmentation --part tee --seed 7 --out docs/segmentation.png
+	$(BIN)/binpick picture --show poses --part tee --seed 7 --out docs/poses.png
 
 build: $(VENV)/.dev-stamp  ## the wheel in dist/, tested alone from another directory
 	rm -rf dist

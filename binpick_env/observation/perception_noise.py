@@ -163,7 +163,7 @@ class PerceptionNoise:
             known = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.json"))) or "none"
             raise NoiseError(
                 f"there is no noise model of {part!r} under sensor {sensor!r} (there are: {known}); "
-                f"fit one with scripts/fit_noise.py --part {part} --sensor {sensor}"
+                f"fit one with binpick fit-noise --part {part} --sensor {sensor}"
             )
         return cls.load(path)
 

@@ -1,5 +1,6 @@
 """Perceivers that work from pixels: segments by the trained network or the true ones, poses by PPF-MEAM."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -24,6 +25,7 @@ from perception.segmentation.grouping.similarity import GroupingConfig
 
 LIKELY = 0.5  # smallest score of a pose that is offered where none is verified: more likely right than wrong
 MIN_POINTS = GroupingConfig().min_points  # smallest number of points of a true segment; the network's is the same
+_log = logging.getLogger(__name__)
 _warmed_up: set[str] = set()  # perception modes whose kernels this process has loaded
 
 
@@ -122,6 +124,7 @@ def _warm_up(perceiver: PixelPerceiver, mode: str, part: PartModel, workspace: W
     first frame.
     """
     if mode not in _warmed_up:
+        _log.info("loading the kernels of perception; compiling them, once per machine, takes about 40 s")
         perceiver.perceive(warm_up_capture(part, workspace), np.random.default_rng(0))
         _warmed_up.add(mode)
     return perceiver

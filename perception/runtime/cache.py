@@ -46,7 +46,7 @@ def cached_arrays(kind: str, key: str, compute: Callable[[], Arrays]) -> Arrays:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
     except FileNotFoundError:
-        pass
+        _log.info("preparing the part: %s, once, kept in %s", kind.replace("_", " ").replace("-", " "), path.parent)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         _log.warning("cannot read %s (%s): computing it anew", path, error)
     arrays = compute()

@@ -99,7 +99,7 @@ class SegmentationPredictor:
         cls, path: Path, config: PredictorConfig | None = None, device: torch.device | str | None = None
     ) -> "SegmentationPredictor":
         """Use the weights of a ``.safetensors`` file."""
-        _log.info("segmentation weights: %s", path)
+        _log.info("loading the segmentation network %s", path)
         return cls(load_network(path), config, device)
 
     def predict(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> list[Instance]:

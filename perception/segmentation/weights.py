@@ -100,8 +100,8 @@ def find_weights(part: str) -> Path:
         if shared.exists() and part in load_record(shared).get("parts", []):
             return shared
     raise WeightsError(
-        f"there are no segmentation weights for {part!r}: train them with scripts/generate_scenes.py --part {part} and "
-        f"scripts/train_segmentation.py --part {part}, which puts them into {own}"
+        f"there are no segmentation weights for {part!r}: train them with binpick generate-scenes --part {part} and "
+        f"binpick train-segmentation --part {part}, which puts them into {own}"
     )
 
 

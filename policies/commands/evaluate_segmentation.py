@@ -42,7 +42,7 @@ class Arguments(SceneArguments):
     ablation: bool = False  # the rows of table 2 instead of one method
     training_seeds: int = 3  # ablation: trainings of each row
     steps: int = 1500  # ablation: of each training
-    scenes: Path | None = None  # ablation: folder of generate_scenes.py to train on; made unless given
+    scenes: Path | None = None  # ablation: folder of generate-scenes to train on; made unless given
     validation: Path | None = None  # ablation: folder to choose thresholds on; made unless given
 
     def folder(self) -> Path:

@@ -1,5 +1,6 @@
 """``binpick pick``, the main job: bins are picked, success rates are printed with intervals."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import radians
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from policies.evaluation.records import BinRecord
     from policies.grasping.outcomes import PickResult
     from policies.report.media import BinMedia
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +92,7 @@ def run(args: Arguments) -> int:
 
 
 def _pick(args: Arguments) -> str:
+    _log.info("loading the simulator and the libraries of perception")
     from policies.evaluation.budget import MODES, budget_jobs
     from policies.evaluation.tables import part_note
     from policies.report.conclusion import conclude, conclude_budget

@@ -23,7 +23,7 @@ class Arguments:
     """
 
     part: tuple[str, ...] = ("tee",)  # what the network is for; the names it will be found under
-    scenes: tuple[Path, ...] = ()  # folders of generate_scenes.py; runs/scenes-PART-0 of each part unless given
+    scenes: tuple[Path, ...] = ()  # folders of generate-scenes; runs/scenes-PART-0 of each part unless given
     validation: tuple[Path, ...] = ()  # folders only evaluated on; the first scenes of each folder unless given
     held_out: int = 8  # scenes of each folder kept for validation where no folder is given
     preset: PresetName = "ours"  # paper: its text to the letter; released: as the code of its lineage does

@@ -1,5 +1,6 @@
 """The cell in which bins are picked: an environment with the picker that acts on it."""
 
+import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import NamedTuple
@@ -9,6 +10,8 @@ from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.watched_env import WatchedEnv
 from policies.picking.episode import Picker
 from policies.picking.scripted import ScriptedPicker
+
+_log = logging.getLogger(__name__)
 
 
 class Cell(NamedTuple):
@@ -64,5 +67,6 @@ def make_env(config: EvaluationConfig) -> WatchedEnv:
 
 def scripted_cell(config: EvaluationConfig) -> Cell:
     """Build the cell with the scripted picker."""
+    _log.info("building the cell; its first pick compiles the kernels of grasps and paths, once per machine, in 30 s")
     env = make_env(config)
     return Cell(env, ScriptedPicker(env, config.picker))

@@ -59,7 +59,7 @@ def load_sample(folder: Path, part: PartModel, clear: float) -> Sample:
     """
     paths = sorted(folder.glob("scene_*.npz"))
     if not paths:
-        raise FileNotFoundError(f"{folder} holds no records of evaluate_pose.py")
+        raise FileNotFoundError(f"{folder} holds no records of binpick evaluate-pose")
     return Sample.join([_sample(PoseRecord.load(path), part, clear) for path in paths])
 
 

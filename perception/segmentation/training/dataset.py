@@ -120,7 +120,9 @@ def load_packed(paths: Sequence[Path], progress: Callable[[], object] | None = N
         if (scene.instance_ids >= 0).any():
             scenes.append(scene)
     if not scenes:
-        raise SceneError(f"none of {len(paths)} files holds a scene to learn from; make some with generate_scenes.py")
+        raise SceneError(
+            f"none of {len(paths)} files holds a scene to learn from; make some with binpick generate-scenes"
+        )
     return scenes
 
 
@@ -134,7 +136,9 @@ def find_scenes(folders: Sequence[Path]) -> list[Path]:
     for folder in folders:
         paths = sorted(folder.glob("scene_*.npz"))
         if not paths:
-            raise FileNotFoundError(f"{folder} holds no scene_*.npz; make them with generate_scenes.py --out {folder}")
+            raise FileNotFoundError(
+                f"{folder} holds no scene_*.npz; make them with binpick generate-scenes --out {folder}"
+            )
         found += paths
     return found
 

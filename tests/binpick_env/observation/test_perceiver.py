@@ -191,8 +191,8 @@ def test_a_part_without_weights_is_told_how_to_train_them_and_what_else_there_is
     text = str(raised.value)
     for told in (
         "perception='learned' cannot recognise 'block'",
-        "scripts/generate_scenes.py --part block",
-        "scripts/train_segmentation.py --part block",
+        "binpick generate-scenes --part block",
+        "binpick train-segmentation --part block",
         "perception='gt_masks' (true segments) and 'oracle' (true poses)",
     ):
         assert told in text

@@ -216,7 +216,7 @@ def test_a_missing_or_damaged_file_is_named(tmp_path: Path) -> None:
 
 
 def test_a_part_without_a_model_names_the_command() -> None:
-    with pytest.raises(NoiseError, match=r"scripts/fit_noise.py --part spoon --sensor harsh"):
+    with pytest.raises(NoiseError, match=r"binpick fit-noise --part spoon --sensor harsh"):
         PerceptionNoise.for_part("spoon", "harsh")
     with pytest.raises(NoiseError, match=r"of .tee. under sensor .none. .there are"):
         BinPickEnv("tee", num_parts=1, perception="oracle", sensor="none", pose_noise="learned")

@@ -34,9 +34,12 @@ def test_the_folder_is_the_users_or_the_one_named(folder: Path, monkeypatch: pyt
         assert cache_folder() == Path(platformdirs.user_cache_dir("binpick"))
 
 
-def test_what_was_computed_comes_from_disk(folder: Path) -> None:
+def test_what_was_computed_comes_from_disk(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", logger="perception")
     first = cached_arrays("things", "k", table)
+    assert caplog.messages == [f"preparing the part: things, once, kept in {folder}"]
     again = cached_arrays("things", "k", refuse)
+    assert len(caplog.messages) == 1
     assert sorted(again) == ["a", "b", "none"]
     for name, array in first.items():
         np.testing.assert_array_equal(again[name], array)

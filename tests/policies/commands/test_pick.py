@@ -79,6 +79,13 @@ def test_pick_runs_resumes_and_refuses_another_configuration(tmp_path: Path) -> 
     done = run("pick", "--bins", "1", "--video", str(film), "--video-limit", "1", *common, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "GSR" in done.stdout
+    for status in (
+        "loading the simulator",
+        "loading the segmentation network",
+        "loading the kernels",
+        "building the cell",
+    ):
+        assert status in done.stderr
     assert film.stat().st_size > 1000
     assert "src='./bin_0000_pick_00.webp'" in (out / "report.html").read_text()
     assert (out / "bin_0000_pick_00.webp").stat().st_size < 40_000
@@ -143,7 +150,7 @@ def test_a_part_without_weights_gets_the_commands_that_make_them_and_the_other_m
     assert pick.main(arguments) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ")
-    for told in ("scripts/generate_scenes.py", "scripts/train_segmentation.py", "'gt_masks'", "'oracle'"):
+    for told in ("binpick generate-scenes", "binpick train-segmentation", "'gt_masks'", "'oracle'"):
         assert told in line
     assert not (tmp_path / "out").exists()
 

@@ -88,5 +88,5 @@ def test_a_sample_is_loaded_from_records(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_records_is_named(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"holds no records of evaluate_pose\.py"):
+    with pytest.raises(FileNotFoundError, match="holds no records of binpick evaluate-pose"):
         load_sample(tmp_path, bracket(), clear=3.0)
