@@ -1,4 +1,4 @@
-"""Boundary points: Canny on the grey image, mapped to the organised cloud (section III of the paper)."""
+"""Boundary points: Canny edges of the grey image, mapped to the organised cloud (section III of the paper)."""
 
 from dataclasses import dataclass
 
@@ -13,13 +13,14 @@ from perception.geometry import Floats, require_shape, transform_points
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoundaryCloud:
-    """The boundary points of one frame; :func:`extract_boundary` gives them in reading order of their pixels.
+    """The boundary points of one frame. :func:`extract_boundary` returns them row by row, from left to right.
 
     Attributes:
-        points_cam: (N, 3) float64 [m].
-        tangents_cam: (N, 3) float64 unit direction of the edge, sign arbitrary; 0 where it has none.
-        linearity: (N,) float64, 1 on a straight edge, towards 0 at corners and in clutter.
-        pixels: (N, 2) int64 (u, v) of the pixel whose depth the point has; no two are the same.
+        points_cam: (N, 3) float64 points in the camera frame [m].
+        tangents_cam: (N, 3) float64 unit tangents of the edge in the camera frame, of either sign; 0 where a point has
+            no neighbours.
+        linearity: (N,) float64 straightness of the edge: 1 on a straight edge, near 0 at corners and in clutter.
+        pixels: (N, 2) int64 pixels (u, v) that the depths were taken from, no two of them equal.
     """
 
     points_cam: Floats
@@ -41,7 +42,11 @@ class BoundaryCloud:
         return len(self.points_cam)
 
     def only(self, chosen: NDArray[np.bool_] | NDArray[np.integer]) -> "BoundaryCloud":
-        """Return the cloud of some of the points: by a mask (N,), or by their indices in any order."""
+        """Return the cloud of the points that ``chosen`` selects.
+
+        Args:
+            chosen: (N,) mask, or indices in any order.
+        """
         return BoundaryCloud(
             points_cam=self.points_cam[chosen],
             tangents_cam=self.tangents_cam[chosen],
@@ -52,17 +57,17 @@ class BoundaryCloud:
 
 @dataclass(frozen=True, kw_only=True)
 class BoundarySettings:
-    """How edges are found and turned into points."""
+    """Settings of the edge detector and of the mapping from pixels to points."""
 
     low: float = 15.0  # Canny's weak threshold [grey levels]
     high: float = 40.0  # Canny's strong threshold [grey levels]
-    blur: float = 1.0  # standard deviation of a Gaussian before Canny [px]: rounding alone draws lines on a cylinder
-    radius: int = 2  # of the patch in which the nearest surface is taken [px]
-    widest: int = 6  # how far that patch may grow over pixels without depth [px]
-    step: float = 0.003  # depths of one patch that differ by less are one surface [m]
-    window: int = 8  # of the tangent [px]
-    margin: float = 0.003  # points closer to the bin's walls and floor than this are the container's [m]
-    headroom: float = 0.03  # of a heaped pile over the rim [m]
+    blur: float = 1.0  # standard deviation of the Gaussian before Canny [px]; without it, rounding draws false edges
+    radius: int = 2  # half the side of the window in which the nearest surface is searched [px]
+    widest: int = 6  # half the side up to which the window grows over pixels without depth [px]
+    step: float = 0.003  # depths in a window that differ by less belong to one surface [m]
+    window: int = 8  # half the side of the window in which a tangent is fitted [px]
+    margin: float = 0.003  # points closer to the walls and the floor of the bin belong to the container [m]
+    headroom: float = 0.03  # height above the rim up to which points of a heaped pile are kept [m]
 
     def __post_init__(self) -> None:
         if not 0 <= self.low <= self.high:
@@ -79,16 +84,16 @@ class BoundarySettings:
 def extract_boundary(frame: Frame, workspace: Workspace, settings: BoundarySettings | None = None) -> BoundaryCloud:
     """Return the boundary points of what lies in the bin; none for an empty bin or a frame without depth.
 
-    An edge pixel between two surfaces may fall on either; its point is taken from the nearer one, whose edge it is, and
-    where depth is missing a growing window is searched. Container and table are removed by the bin's known pose and
-    size.
+    An edge pixel between two surfaces may lie on either of them. Its depth is taken from the nearer surface, which the
+    edge belongs to. Where depth is missing, the search window grows. Points outside the inner box of the bin (container
+    and table) are removed.
 
-    Source: section III of the paper, after Liu et al., "PPF-MEAM", Sensors 18 (2018), which describes the mapping.
+    Source: section III of the paper; the mapping is described in Liu et al., "PPF-MEAM", Sensors 18 (2018).
 
     Args:
-        frame: Of any calibrated depth camera with a registered grey image.
-        workspace: The bin.
-        settings: :class:`BoundarySettings`' defaults if left out.
+        frame: Frame of a calibrated depth camera with a registered grey image.
+        workspace: Pose and size of the bin.
+        settings: Edge detector and mapping; the defaults of :class:`BoundarySettings` if left out.
     """
     settings = settings or BoundarySettings()
     size = (frame.depth.shape[1], frame.depth.shape[0])
@@ -108,7 +113,7 @@ def extract_boundary(frame: Frame, workspace: Workspace, settings: BoundarySetti
 
 
 def organised_points(frame: Frame, pixels: NDArray[np.int64]) -> Floats:
-    """Return the (N, 3) camera points of (N, 2) pixels (u, v) of the organised cloud [m]."""
+    """Return the (N, 3) points in the camera frame [m] that (N, 2) pixels (u, v) show."""
     z = frame.depth[pixels[:, 1], pixels[:, 0]].astype(np.float64)
     x = (pixels[:, 0] - frame.K[0, 2]) / frame.K[0, 0]
     y = (pixels[:, 1] - frame.K[1, 2]) / frame.K[1, 1]

@@ -1,4 +1,4 @@
-"""What a depth camera delivers, and what a cell knows about the bin it looks at."""
+"""A frame of a depth camera, and the bin that it shows."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,13 @@ from perception.geometry import NEAR, Floats, invert_transform, project_points, 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frame:
-    """One exposure of a calibrated depth camera.
+    """One frame of a calibrated depth camera.
 
     Attributes:
-        grey: (H, W) uint8 image.
-        depth: (H, W) float32 distance along the optical axis [m]; 0 where there is no measurement (NaN becomes 0).
-        K: (3, 3) pinhole matrix [px], pixel centres at integers.
+        grey: (H, W) uint8 grey image, registered to the depth.
+        depth: (H, W) float32 depth along the optical axis [m]; 0 where there is no measurement. Values that are not
+            finite and positive become 0.
+        K: (3, 3) camera matrix [px], pixel centres at integers.
         T_world_cam: (4, 4) camera pose, OpenCV axes.
     """
 
@@ -26,7 +27,9 @@ class Frame:
 
     def __post_init__(self) -> None:
         if self.depth.ndim != 2 or self.grey.shape != self.depth.shape:
-            raise ValueError(f"grey and depth must be one (H, W), got {self.grey.shape} and {self.depth.shape}")
+            raise ValueError(
+                f"grey and depth must have the same shape (H, W), got {self.grey.shape} and {self.depth.shape}"
+            )
         if self.grey.dtype != np.uint8:
             raise ValueError(f"grey must be uint8, got {self.grey.dtype}")
         if not np.issubdtype(self.depth.dtype, np.floating):
@@ -42,17 +45,17 @@ class Frame:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """(H, W) mask of pixels that carry a depth."""
+        """(H, W) mask of the pixels that have a depth."""
         return self.depth > 0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Workspace:
-    """The bin: its pose and inner box. The bin frame's origin is the centre of the inner floor, z up.
+    """Pose and inner size of the bin. The origin of the bin frame is the centre of the inner floor, z up.
 
     Attributes:
         T_world_bin: (4, 4) pose of the bin.
-        inner_size: (3,) inner length, width, height [m] along the bin's x, y, z.
+        inner_size: (3,) inner length, width and height of the bin along its x, y and z [m].
     """
 
     T_world_bin: Floats
@@ -72,9 +75,9 @@ class Workspace:
         """Return the (N,) mask of world points inside the inner box.
 
         Args:
-            points_world: (N, 3) [m].
-            margin: Shrinks the box at the walls and the floor [m].
-            headroom: Raises its top above the rim [m].
+            points_world: (N, 3) points in the world frame [m].
+            margin: Distance by which the box is shrunk at the walls and the floor [m].
+            headroom: Height by which the box extends above the rim [m].
         """
         points_bin = self.to_bin(points_world)
         half = self.inner_size[:2] / 2 - margin
@@ -87,15 +90,15 @@ class Workspace:
 def bin_region(
     workspace: Workspace, K: Floats, T_world_cam: Floats, size: tuple[int, int], *, margin: float, headroom: float
 ) -> NDArray[np.int64]:
-    """Return the rectangle (4,) ``u0, v0, u1, v1`` of pixels that show the bin with its walls; empty if out of view.
+    """Return the rectangle of pixels that shows the bin: (4,) ``u0, v0, u1, v1``, empty if the bin is out of view.
 
     Args:
-        workspace: The bin.
-        K: (3, 3) pinhole matrix.
-        T_world_cam: (4, 4).
+        workspace: Pose and size of the bin.
+        K: (3, 3) camera matrix [px].
+        T_world_cam: (4, 4) camera pose.
         size: Width and height of the image [px].
-        margin: Added beside the inner box, for the walls [m].
-        headroom: Added above the rim, for a heaped pile [m].
+        margin: Width added on each side of the inner box, for the walls [m].
+        headroom: Height added above the rim, for a heaped pile [m].
     """
     half = workspace.inner_size[:2] / 2 + margin
     top = workspace.inner_size[2] + headroom

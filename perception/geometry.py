@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float64]
-NEAR = 1e-3  # [m] along the optical axis; nothing nearer to a camera is projected or drawn
+NEAR = 1e-3  # smallest depth of a point that is projected or drawn [m]
 
 
 def require_shape(name: str, array: NDArray[np.generic], shape: tuple[int | None, ...]) -> None:
@@ -21,7 +21,7 @@ def require_shape(name: str, array: NDArray[np.generic], shape: tuple[int | None
 
 
 def make_transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Floats:
-    """Compose a (4, 4) transform from a (3, 3) rotation and a (3,) translation [m]; either may be left out."""
+    """Return the (4, 4) transform of a (3, 3) rotation and a (3,) translation [m]; either may be left out."""
     T = np.eye(4)
     if rotation is not None:
         T[:3, :3] = rotation
@@ -31,7 +31,7 @@ def make_transform(rotation: ArrayLike | None = None, translation: ArrayLike | N
 
 
 def invert_transform(T_a_b: Floats) -> Floats:
-    """Return ``T_b_a``; works on (..., 4, 4)."""
+    """Return the inverses ``T_b_a`` of (..., 4, 4) transforms."""
     R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
     T_b_a = np.zeros_like(T_a_b)
     T_b_a[..., :3, :3] = R_b_a
@@ -62,7 +62,7 @@ def quat_from_matrix(rotation: ArrayLike) -> Floats:
 
 
 def rotation_about(axis: ArrayLike, angle: float) -> Floats:
-    """Return the (3, 3) rotation by ``angle`` [rad] about ``axis`` (3,), which need not be unit."""
+    """Return the (3, 3) rotation by ``angle`` [rad] about ``axis``, a (3,) vector of any length but 0."""
     axis = np.asarray(axis, dtype=np.float64)
     return Rotation.from_rotvec(axis * (angle / np.linalg.norm(axis))).as_matrix()
 
@@ -85,7 +85,10 @@ def rotation_6d(rotation: Floats) -> Floats:
 
 
 def rotation_from_6d(encoding: Floats) -> Floats:
-    """Invert :func:`rotation_6d` by Gram-Schmidt; takes any (..., 6) whose two halves are not parallel."""
+    """Return the (..., 3, 3) rotations of (..., 6) encodings by Gram-Schmidt, the inverse of :func:`rotation_6d`.
+
+    The two halves of an encoding must not be parallel.
+    """
     x = encoding[..., :3] / np.linalg.norm(encoding[..., :3], axis=-1, keepdims=True)
     y = encoding[..., 3:] - np.sum(x * encoding[..., 3:], axis=-1, keepdims=True) * x
     y = y / np.linalg.norm(y, axis=-1, keepdims=True)
@@ -98,7 +101,13 @@ def random_rotation(rng: np.random.Generator) -> Floats:
 
 
 def camera_matrix(focal_px: float, width: int, height: int) -> Floats:
-    """Return K (3, 3) with square pixels and the principal point at the image's centre, pixel centres at integers."""
+    """Return the (3, 3) camera matrix with square pixels and the principal point at the centre of the image.
+
+    Args:
+        focal_px: Focal length [px].
+        width: Width of the image [px].
+        height: Height of the image [px].
+    """
     return np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
 
 
@@ -109,9 +118,13 @@ def project_points(K: Floats, points_cam: Floats) -> Floats:
 
 
 def deproject_depth(K: Floats, depth: NDArray[np.floating]) -> Floats:
-    """Turn (H, W) depth [m] along z into an organised cloud (H, W, 3) in the camera frame.
+    """Return the organised cloud of a depth image: (H, W, 3) points in the camera frame [m].
 
-    Invalid depth (0 or NaN) gives the origin or NaN: mask with :attr:`Frame.valid`.
+    Pixels without depth (0 or NaN) give the origin or NaN. :attr:`Frame.valid` masks them.
+
+    Args:
+        K: (3, 3) camera matrix [px].
+        depth: (H, W) depth along the optical axis [m].
     """
     height, width = depth.shape
     u = (np.arange(width) - K[0, 2]) / K[0, 0]

@@ -1,4 +1,4 @@
-"""What segmentation delivers: groups of boundary points that are one part each."""
+"""Instances: groups of boundary points, each on one part."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ from perception.geometry import require_shape
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Instance:
-    """The boundary points of one part.
+    """The boundary points of one visible part.
 
     Attributes:
-        point_idx: (M,) int64 ascending indices into the boundary cloud.
-        score: Confidence in [0, 1]; instances are ranked by it.
-        label: Semantic class; parts of a bin are all of class 0.
+        point_idx: (M,) int64 indices into the boundary cloud, ascending.
+        score: Confidence in [0, 1], by which instances are ranked.
+        label: Semantic class; 0 for every part of a bin.
     """
 
     point_idx: NDArray[np.int64]
@@ -30,7 +30,12 @@ class Instance:
 
 
 def labels_of(instances: Sequence[Instance], count: int) -> NDArray[np.int64]:
-    """Return the (count,) index of each point's instance, -1 for none; of overlapping ones the first counts."""
+    """Return the (count,) index of each point's instance, -1 for none; the first of overlapping instances wins.
+
+    Args:
+        instances: Groups of points, the preferred one first.
+        count: Number of points.
+    """
     labels = np.full(count, -1, np.int64)
     for k in reversed(range(len(instances))):
         labels[instances[k].point_idx] = k
@@ -38,7 +43,11 @@ def labels_of(instances: Sequence[Instance], count: int) -> NDArray[np.int64]:
 
 
 def instances_of(labels: NDArray[np.int64], scores: NDArray[np.floating] | Sequence[float]) -> list[Instance]:
-    """Return an instance for each k below ``len(scores)`` that (N,) ``labels`` name, best score first; -1 is no one's.
+    """Return the instances that have points, best score first.
+
+    Args:
+        labels: (N,) index of each point's instance, -1 for none.
+        scores: Confidence of each instance.
 
     Raises:
         ValueError: A label has no score.
@@ -57,11 +66,11 @@ def instances_of(labels: NDArray[np.int64], scores: NDArray[np.floating] | Seque
 
 
 def true_instances(part_ids: NDArray[np.int64], min_points: int) -> list[Instance]:
-    """Return the true segments, all of score 1: the points of each part that has at least ``min_points`` of (N,).
+    """Return the true segments, all of score 1.
 
     Args:
         part_ids: (N,) part that each point lies on, -1 for none.
-        min_points: Smallest segment.
+        min_points: Number of points from which on a part has a segment.
     """
     found = instances_of(part_ids, np.ones(part_ids.max(initial=-1) + 1))
     return [instance for instance in found if len(instance.point_idx) >= min_points]

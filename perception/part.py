@@ -1,4 +1,4 @@
-"""A part as perception sees it: mesh, exact diameter, symmetry group, centre."""
+"""What perception knows of a part: mesh, exact diameter, symmetry group, centre."""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -18,8 +18,8 @@ class Symmetry:
     The group is ``{R @ Rot(axis, t)}`` over ``rotations`` and, where there is an axis, every angle ``t``.
 
     Attributes:
-        rotations: (S, 3, 3) float64 in part axes, the identity first.
-        axis: (3,) unit axis of continuous rotation, or None.
+        rotations: (S, 3, 3) float64 rotations in part axes, the identity first.
+        axis: (3,) unit axis of a solid of revolution in part axes; None for any other part.
     """
 
     rotations: Floats = field(default_factory=lambda: np.eye(3)[None])
@@ -54,7 +54,7 @@ class Symmetry:
         """Return the smallest angle [rad] between two (3, 3) part rotations modulo the group."""
         if self.axis is None:
             return float(np.min(rotation_angle(rotation_a @ self.rotations @ rotation_b.T)))
-        # Exact for a continuous axis: free rotation about it leaves only the angle between the axes' images.
+        # With free rotation about the axis, only the angle between the two images of the axis remains. This is exact.
         axes_a = (rotation_a @ self.rotations) @ self.axis
         axis_b = rotation_b @ self.axis
         cross = np.linalg.norm(np.cross(axes_a, axis_b), axis=-1)
@@ -63,14 +63,14 @@ class Symmetry:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PartModel:
-    """The knowledge about a part that perception may use.
+    """What perception knows of a part.
 
     Attributes:
         name: Catalogue name or file stem.
         mesh: Watertight triangle mesh in the part frame [m].
         d_max: Largest distance between two vertices [m], exact.
-        symmetry: Rotations about ``centre`` that cannot be told apart.
-        centre: (3,) the point every symmetry fixes (the volume's centroid), part frame [m].
+        symmetry: Rotations about ``centre`` that map the part onto itself.
+        centre: (3,) centroid of the volume in the part frame [m]. Every symmetry keeps it in place.
     """
 
     name: str
@@ -81,7 +81,16 @@ class PartModel:
 
     @classmethod
     def from_mesh(cls, name: str, mesh: trimesh.Trimesh, symmetry: Symmetry | None = None) -> "PartModel":
-        """Measure ``d_max`` and ``centre`` of a watertight mesh [m]; no symmetry means the trivial group."""
+        """Return the model of a watertight mesh [m], measuring ``d_max`` and ``centre``.
+
+        Args:
+            name: Catalogue name or file stem.
+            mesh: Watertight triangle mesh in the part frame [m].
+            symmetry: Symmetry group of the part; None for a part without symmetry.
+
+        Raises:
+            ValueError: The mesh is not watertight.
+        """
         if not mesh.is_watertight:
             raise ValueError(f"the mesh of {name!r} must be watertight (every edge shared by two faces)")
         return cls(
@@ -94,7 +103,7 @@ class PartModel:
 
 
 def diameter(points: Floats) -> float:
-    """Return the largest distance between two of (N, 3) points, exactly (only hull vertices can realise it)."""
+    """Return the largest distance between two of (N, 3) points, exactly; it lies between vertices of the hull."""
     hull = points[ConvexHull(points).vertices]
     if len(hull) <= 4000:
         return float(pdist(hull).max())

@@ -1,4 +1,4 @@
-"""The whole of perception on one screen: a frame becomes boundary points, groups of them, and poses of parts."""
+"""The perception pipeline: from a frame to boundary points, to segments, to poses of parts."""
 
 import time
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.explanation import explain_segments
 from perception.segmentation.surface import coarse_surface
 
-if TYPE_CHECKING:  # it brings torch, which only a network needs
+if TYPE_CHECKING:  # importing it loads torch, which only a network needs
     from perception.segmentation.predictor import SegmentationPredictor
 
 STAGES = ("boundary", "segmentation", "poses", "explanation")
@@ -23,15 +23,15 @@ STAGES = ("boundary", "segmentation", "poses", "explanation")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Perception:
-    """What was seen in one frame.
+    """Result of the pipeline for one frame.
 
     Attributes:
-        boundary: Its N boundary points.
-        segments: Groups of them before any pose is known, best first.
-        poses: Verified poses of parts, best first; ``instance_idx`` counts in ``segments``.
-        instances: The groups once the poses have taken what is theirs, best first.
+        boundary: Boundary points of the frame.
+        segments: Groups of boundary points as the segmentation found them, best first.
+        poses: Verified poses of parts, best first; ``instance_idx`` is an index into ``segments``.
+        instances: Groups of boundary points after the poses have explained points, best first.
         ms: Wall clock of each of `STAGES` [ms].
-        estimates: Best pose of each segment, verified or not; None where there is none.
+        estimates: Best pose of each segment, verified or not; None for a segment without a pose.
     """
 
     boundary: BoundaryCloud
@@ -43,7 +43,13 @@ class Perception:
 
 
 class Pipeline:
-    """Frame -> boundary -> segments -> poses, for one kind of part in one bin."""
+    """Frame, boundary points, segments, poses: the pipeline for one kind of part in one bin.
+
+    Attributes:
+        predictor: Segmentation of boundary points.
+        estimator: Pose estimation of segments.
+        workspace: Pose and size of the bin.
+    """
 
     def __init__(self, predictor: "SegmentationPredictor", estimator: PoseEstimator, workspace: Workspace) -> None:
         self.predictor = predictor
@@ -52,18 +58,20 @@ class Pipeline:
 
     @classmethod
     def for_part(cls, part: PartModel, workspace: Workspace) -> "Pipeline":
-        """Use the weights for the part's name, and build its models: seconds the first time.
+        """Return the pipeline for a part, with the weights for its name.
+
+        Building the models of a part takes seconds the first time; later they come from the cache.
 
         Raises:
-            WeightsError: There are no weights; the text names the commands that make them.
-            ValueError: The part's mesh does not enclose a volume.
+            WeightsError: There are no weights for the part; the message names the commands that make them.
+            ValueError: The mesh of the part does not enclose a volume.
         """
         from perception.segmentation.predictor import SegmentationPredictor
 
         return cls(SegmentationPredictor.for_part(part.name), PoseEstimator(part, workspace=workspace), workspace)
 
     def perceive(self, frame: Frame) -> Perception:
-        """Return what a frame shows; an empty bin, or a frame without depth, shows nothing."""
+        """Return the poses of the parts in a frame; none for an empty bin or a frame without depth."""
         d_max = self.estimator.part.d_max
 
         def segment(boundary: BoundaryCloud) -> list[Instance]:
@@ -75,7 +83,14 @@ class Pipeline:
 def perceive_by(
     segment: Callable[[BoundaryCloud], list[Instance]], estimator: PoseEstimator, frame: Frame, workspace: Workspace
 ) -> Perception:
-    """Return what a frame shows if ``segment`` groups its boundary points: the way of all segmentations to poses."""
+    """Run the pipeline on a frame with any segmentation.
+
+    Args:
+        segment: Returns the groups of a boundary cloud, best first.
+        estimator: Pose estimation of segments.
+        frame: Frame of the camera.
+        workspace: Pose and size of the bin.
+    """
     clock = [time.perf_counter()]
     boundary = extract_boundary(frame, workspace)
     clock.append(time.perf_counter())

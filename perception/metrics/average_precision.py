@@ -18,13 +18,13 @@ CHUNK = 1_000_000  # verdicts times resamples that are counted at once: about 50
 
 @dataclass(frozen=True, kw_only=True)
 class ClassAp:
-    """The four numbers of one class; NaN where no scene has an instance of it to find.
+    """Average precisions of one class; NaN where no scene has an instance of it to find.
 
     Attributes:
-        ap: Mean over IoU .50, .55 ... .90.
-        ap50: At IoU .50.
-        ap75: At IoU .75.
-        ap25: At IoU .25.
+        ap: Mean of the average precisions at IoU 0.50, 0.55 ... 0.90.
+        ap50: Average precision at IoU 0.50.
+        ap75: Average precision at IoU 0.75.
+        ap25: Average precision at IoU 0.25.
     """
 
     ap: float
@@ -35,10 +35,10 @@ class ClassAp:
 
 @dataclass(frozen=True, kw_only=True)
 class ApSummary(ClassAp):
-    """The four numbers, as means over the classes that have an instance to find.
+    """Average precisions as means over the classes that have an instance to find.
 
     Attributes:
-        per_class: The same by class, of every class that is true or predicted anywhere.
+        per_class: Average precisions by class, for every class that occurs in a truth or a prediction.
     """
 
     per_class: dict[int, ClassAp]
@@ -46,7 +46,7 @@ class ApSummary(ClassAp):
 
 @dataclass(frozen=True, kw_only=True)
 class ApIntervals:
-    """95 % intervals (low, high) of the four numbers; NaN where no resample has an instance to find."""
+    """95 % intervals (low, high) of the average precisions; NaN where no resample has an instance to find."""
 
     ap: tuple[float, float]
     ap50: tuple[float, float]
@@ -55,12 +55,12 @@ class ApIntervals:
 
 
 class PrecisionRecall(NamedTuple):
-    """Operating points by ascending score; the last, at an infinite score, accepts nothing: precision 1, recall 0.
+    """Operating points by ascending score. The last one, at an infinite score, has precision 1 and recall 0.
 
     Attributes:
-        precision: (K,) in [0, 1].
-        recall: (K,) in [0, 1]; NaN without an instance to find.
-        scores: (K,) the lowest that is accepted.
+        precision: (K,) precision in [0, 1].
+        recall: (K,) recall in [0, 1]; NaN without an instance to find.
+        scores: (K,) lowest score that is accepted.
     """
 
     precision: Floats
@@ -73,11 +73,11 @@ class _Pool:
     """The verdicts of all scenes on one class at one overlap, by descending score.
 
     Attributes:
-        scores: (E,).
-        correct: (E,) 1 or 0.
-        scene_idx: (E,) int64.
+        scores: (E,) confidence, descending.
+        correct: (E,) 1 for a right prediction, 0 for a wrong one.
+        scene_idx: (E,) int64 scene of each verdict.
         truths: (S,) number of instances to find in each scene.
-        ends: (K,) index of the last verdict of each score: equal scores are one operating point.
+        ends: (K,) index of the last verdict of each score, as equal scores are one operating point.
     """
 
     scores: Floats
@@ -87,7 +87,7 @@ class _Pool:
     ends: NDArray[np.int64]
 
     def counts(self, weights: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return (R, 1 + K) true positives and all positives, and (R,) truths, scenes weighing (R, S) ``weights``."""
+        """Return true positives (R, 1 + K), all positives (R, 1 + K) and truths (R,) for (R, S) weights of the scenes."""
         weight = weights[:, self.scene_idx]
         right = np.cumsum(weight * self.correct, axis=1)[:, self.ends]
         every = np.cumsum(weight, axis=1)[:, self.ends]
@@ -96,10 +96,10 @@ class _Pool:
 
 
 def average_precision(matches: Sequence[SceneMatches], overlaps: Sequence[float] = OVERLAPS) -> dict[int, Floats]:
-    """Return by class the (O,) average precision at ``overlaps``, all scenes pooled.
+    """Return the (O,) average precisions at ``overlaps`` by class, all scenes pooled.
 
-    As in ScanNet's benchmark: NaN where no scene has an instance to find, 0 where nothing is predicted, or everything
-    that is predicted is ignored (a case in which its script crashes).
+    As in ScanNet's benchmark, the value is NaN where no scene has an instance to find, and 0 where nothing is predicted.
+    It is 0 also where every prediction is ignored, a case in which the benchmark's script crashes.
 
     Raises:
         ValueError: A scene was not matched at one of ``overlaps``.
@@ -109,7 +109,7 @@ def average_precision(matches: Sequence[SceneMatches], overlaps: Sequence[float]
 
 
 def ap_summary(matches: Sequence[SceneMatches]) -> ApSummary:
-    """Return AP, AP50, AP75 and AP25 of scenes matched at `MATCHED_OVERLAPS`, over the classes and of each.
+    """Return AP, AP50, AP75 and AP25 of scenes matched at `MATCHED_OVERLAPS`, as means and by class.
 
     Raises:
         ValueError: A scene was not matched at all ten overlaps.
@@ -123,15 +123,21 @@ def ap_summary(matches: Sequence[SceneMatches]) -> ApSummary:
 
 
 def bootstrap_ap(matches: Sequence[SceneMatches], rng: np.random.Generator, resamples: int = 1000) -> ApIntervals:
-    """Return percentile intervals of `ap_summary`'s numbers, scenes being drawn with replacement.
+    """Return percentile intervals of the average precisions, by a bootstrap over scenes.
 
-    Scenes and not parts are drawn, as the parts of one bin fail together. Resamples without an instance to find are
-    left out.
+    Scenes are drawn rather than parts, because the parts of one bin fail together. Resamples without an instance to find
+    are left out.
+
+    Args:
+        matches: Verdicts on each scene.
+        rng: Source of the draws.
+        resamples: Number of resamples.
 
     Raises:
         ValueError: There is no scene, ``resamples`` is below 1, or a scene was not matched at all ten overlaps.
 
-    Note: about 2 s for 1000 resamples of 100 scenes of 40 predictions.
+    Note:
+        It takes about 2 s for 1000 resamples of 100 scenes with 40 predictions each.
     """
     scenes = len(matches)
     if scenes < 1 or resamples < 1:
@@ -143,7 +149,11 @@ def bootstrap_ap(matches: Sequence[SceneMatches], rng: np.random.Generator, resa
 
 
 def weighted_ap(matches: Sequence[SceneMatches], weights: Floats) -> Floats:
-    """Return (R, 4) AP, AP50, AP75, AP25 over the classes, scene s counting (R, S) ``weights`` times; NaN if unknown.
+    """Return the (R, 4) AP, AP50, AP75, AP25 over the classes, for weighted scenes; NaN without an instance to find.
+
+    Args:
+        matches: Verdicts on each of S scenes.
+        weights: (R, S) number of times that each scene counts.
 
     Raises:
         ValueError: A scene was not matched at all ten overlaps, or the weights are not one a scene.
@@ -153,7 +163,7 @@ def weighted_ap(matches: Sequence[SceneMatches], weights: Floats) -> Floats:
 
 
 def precision_recall(matches: Sequence[SceneMatches], overlap: float, label: int = 0) -> PrecisionRecall:
-    """Return the curve of class ``label`` at IoU ``overlap``, all scenes pooled, whose area is `average_precision`.
+    """Return precision and recall of class ``label`` at IoU ``overlap``, all scenes pooled.
 
     Raises:
         ValueError: A scene was not matched at ``overlap``.
@@ -166,7 +176,7 @@ def precision_recall(matches: Sequence[SceneMatches], overlap: float, label: int
 
 
 def _classes(matches: Sequence[SceneMatches]) -> list[int]:
-    """Return the classes of any true instance or verdict, ascending."""
+    """Return the classes that occur in a truth or a verdict, ascending."""
     return sorted({label for scene in matches for label in (*scene.truth_counts, *scene.labels.tolist())})
 
 
@@ -193,7 +203,7 @@ def _pooled(matches: Sequence[SceneMatches], overlap: float, label: int) -> _Poo
 
 
 def _resampled(matches: Sequence[SceneMatches], overlaps: Sequence[float], weights: Floats) -> Floats:
-    """Return the (R, C, O) average precision of scenes weighing (R, S) ``weights``."""
+    """Return the (R, C, O) average precision for (R, S) weights of the scenes."""
     classes = _classes(matches)
     values = np.empty((len(weights), len(classes), len(overlaps)))
     for c, label in enumerate(classes):
@@ -208,9 +218,9 @@ def _resampled(matches: Sequence[SceneMatches], overlaps: Sequence[float], weigh
 def _area(right: Floats, every: Floats, truths: Floats) -> Floats:
     """Return the (R,) area under precision over recall, NaN without truths.
 
-    ScanNet sums precision P_k times the centred step (R_{k-1} - R_{k+1}) / 2 with R extended at both ends. Sorted by
-    neighbours instead of by k that is the trapezoidal rule: nothing is interpolated to an envelope. A score that no
-    drawn scene has repeats its neighbour's point and adds nothing.
+    ScanNet sums the precision P_k times the centred step (R_{k-1} - R_{k+1}) / 2, with R extended at both ends. Summed
+    over intervals instead of points, this is the trapezoidal rule without interpolation to an envelope. A score that no
+    drawn scene has repeats the point of its neighbour and adds nothing.
     """
     precision = _precision(right, every)
     steps = (precision[:, 1:] + precision[:, :-1]) / 2 * np.diff(right, axis=1)
@@ -229,7 +239,7 @@ def _four(values: Floats) -> Floats:
 
 
 def _mean_of_known(values: Floats, axis: int) -> Floats:
-    """Return the mean along ``axis`` of what is not NaN, NaN where nothing is left."""
+    """Return the mean of the values along ``axis`` that are not NaN, or NaN if there are none."""
     known = ~np.isnan(values)
     number = known.sum(axis=axis)
     total = np.where(known, values, 0.0).sum(axis=axis)
@@ -238,7 +248,7 @@ def _mean_of_known(values: Floats, axis: int) -> Floats:
 
 
 def percentile_interval(values: Floats) -> tuple[float, float]:
-    """Return the 95 % interval of the (R,) values that are not NaN, or NaN twice."""
+    """Return the 95 % interval (low, high) of the (R,) values that are not NaN; NaN twice if there are none."""
     known = values[~np.isnan(values)]
     if not len(known):
         return np.nan, np.nan

@@ -1,4 +1,4 @@
-"""The pose errors of the BOP benchmark: MSSD, MSPD and VSD, and the recall that is averaged over their thresholds.
+"""Pose errors of the BOP benchmark: MSSD, MSPD and VSD, and the recall averaged over their thresholds.
 
 Source: Hodan et al., "BOP Challenge 2020 on 6D Object Localization", ECCVW 2020, section 2.2. Poses are (4, 4) float64
 ``T_cam_part``. H, W image size, N vertices, T tolerances.
@@ -15,9 +15,9 @@ from perception.geometry import Floats, project_points, require_shape, rotation_
 from perception.metrics.pose_errors import require_diameter, require_pose
 from perception.part import PartModel, Symmetry
 
-VSD_DELTA = 0.015  # [m] BOP's tolerance of visibility
+VSD_DELTA = 0.015  # BOP's tolerance of visibility [m]
 SHARES = tuple(round(0.05 * k, 2) for k in range(1, 11))  # BOP's tau and theta: 5 to 50 % of the diameter
-STEPS = 360  # angles tried about an axis of revolution
+STEPS = 360  # number of angles tried about an axis of revolution
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,15 +35,21 @@ class VsdTolerances:
 def mssd(T_est: Floats, T_true: Floats, part: PartModel, *, steps: int = STEPS) -> float:
     """Return the maximum symmetry-aware surface distance [m].
 
-    The largest distance between a vertex in the two poses, least over the part's symmetries. Vertices give the maximum
-    over the whole surface, as the distance is convex along every triangle.
+    It is the largest distance between the positions of a vertex in the two poses, minimised over the symmetries of the
+    part. The distance is convex along every triangle, so the vertices give the maximum over the surface.
+
+    Args:
+        T_est: (4, 4) estimated pose.
+        T_true: (4, 4) true pose.
+        part: Mesh, symmetry and centre of the part.
+        steps: Number of angles tried about an axis of revolution; the best one is refined.
 
     Raises:
         ValueError: A pose is not (4, 4) and finite, or ``steps`` is below 1.
 
-    Note: about an axis of revolution ``steps`` angles are tried and the best refined: never under the minimum over all
-    angles, and above it by at most ``2 r sin(pi / (2 steps))``, r being the part's radius about that axis (0.9 % of r
-    at 360 steps), mostly by nothing. BOP itself allows 1 % of the diameter.
+    Note:
+        For a solid of revolution the result exceeds the minimum over all angles by at most ``2 r sin(pi / (2 steps))``,
+        where r is the radius of the part about its axis: 0.9 % of r at 360 steps. BOP itself allows 1 % of the diameter.
     """
     require_pose(T_est, T_true)
     offsets, est = _vertices(T_est, part)
@@ -57,14 +63,14 @@ def mssd(T_est: Floats, T_true: Floats, part: PartModel, *, steps: int = STEPS) 
 
 
 def mspd(T_est: Floats, T_true: Floats, part: PartModel, K: Floats, *, steps: int = STEPS) -> float:
-    """Return the maximum symmetry-aware projection distance [px]: `mssd`, measured between images of the vertices.
+    """Return the maximum symmetry-aware projection distance [px]: `mssd` between the projections of the vertices.
 
     Args:
-        T_est: (4, 4) estimate; infinitely wrong where a vertex is not in front of the camera.
-        T_true: (4, 4) truth.
-        part: Mesh, symmetry and centre.
-        K: (3, 3) of the camera [px].
-        steps: Angles tried about an axis of revolution, the best being refined.
+        T_est: (4, 4) estimated pose. The error is infinite if it has a vertex that is not in front of the camera.
+        T_true: (4, 4) true pose.
+        part: Mesh, symmetry and centre of the part.
+        K: (3, 3) camera matrix [px].
+        steps: Number of angles tried about an axis of revolution; the best one is refined.
 
     Raises:
         ValueError: A pose is not (4, 4) and finite, K is not (3, 3), ``steps`` is below 1, or the true pose has a
@@ -98,20 +104,21 @@ def vsd(
 ) -> Floats:
     """Return the (T,) visible surface discrepancy in [0, 1], one for each tolerance.
 
-    The share of the pixels that show the part in either pose that does not show it in both, or at distances along the
-    ray that differ by the tolerance or more. A pixel shows the part if that lies at most ``delta`` behind the scene or
-    the scene has no depth there; in the estimated pose also where the part truly shows. 1 where it never shows.
+    Of the pixels that show the part in either pose, it is the share that does not show it in both poses, or shows it at
+    distances along the ray that differ by the tolerance or more. A pixel shows the part if the part lies at most
+    ``delta`` behind the measured scene, or if the scene has no depth there. In the estimated pose, a pixel also shows
+    the part where it shows it in the true pose. The discrepancy is 1 if no pixel shows the part.
 
     Args:
         depth_est: (H, W) depth along z of the part alone in the estimated pose [m]; 0 or NaN off the part.
-        depth_true: (H, W) the same in the true pose.
-        depth_scene: (H, W) measured depth; 0 or NaN where there is none.
-        K: (3, 3) of the camera [px].
+        depth_true: (H, W) depth along z of the part alone in the true pose [m]; 0 or NaN off the part.
+        depth_scene: (H, W) measured depth [m]; 0 or NaN where there is none.
+        K: (3, 3) camera matrix [px].
         d_max: Diameter of the part [m].
         tolerances: Tolerances of distance and visibility; BOP's unless given.
 
     Raises:
-        ValueError: The images are not (H, W) alike, K is not (3, 3), or ``d_max`` is not positive.
+        ValueError: The images do not have the same shape (H, W), K is not (3, 3), or ``d_max`` is not positive.
     """
     require_shape("K", K, (3, 3))
     require_diameter(d_max)
@@ -134,11 +141,14 @@ def vsd(
 
 
 def average_recall(errors: NDArray[np.floating], thresholds: Sequence[float]) -> float:
-    """Return the share of ``errors`` (any shape, at least one) under a threshold, averaged over ``thresholds``.
+    """Return BOP's average recall: the share of errors strictly under a threshold, averaged over the thresholds.
 
-    BOP's AR of one error: strictly under `SHARES` times the diameter for MSSD, under `SHARES` for VSD (all instances
-    and tolerances), under 5, 10 ... 50 px times the image's width / 640 for MSPD. An instance without an estimate has
-    an infinite error.
+    BOP's thresholds are `SHARES` times the diameter for MSSD, `SHARES` for VSD (over all instances and tolerances), and
+    5, 10 ... 50 px times the width of the image / 640 for MSPD.
+
+    Args:
+        errors: Errors of the instances, in any shape; infinite for an instance without an estimate.
+        thresholds: Thresholds in the unit of the errors.
 
     Raises:
         ValueError: There is no error or no threshold, or an error is NaN.
@@ -157,7 +167,7 @@ def _vertices(T_est: Floats, part: PartModel) -> tuple[Floats, Floats]:
 
 
 def _least(error_of: Callable[[Floats], float], symmetry: Symmetry, steps: int) -> float:
-    """Return the least ``error_of`` a (3, 3) element of the group."""
+    """Return the least ``error_of`` over the (3, 3) elements of the symmetry group."""
     if steps < 1:
         raise ValueError(f"steps must be at least 1, got {steps}")
     if symmetry.axis is None:

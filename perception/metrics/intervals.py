@@ -1,4 +1,4 @@
-"""What a share is worth that was counted in few trials."""
+"""Confidence intervals of shares."""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
-"""Which predicted instances are right, by the rules of ScanNet's instance benchmark: the first half of an AP.
+"""Matching of predicted with true instances by the rules of ScanNet's instance benchmark.
 
-A scene is matched once; average precision over any pool or resample of scenes only counts the decisions again.
+A scene is matched once. The average precision of any pool or resample of scenes then counts the verdicts.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,7 +14,7 @@ from perception.instance import Instance
 
 OVERLAPS = (0.50, 0.55, 0.60, 0.65, 0.70, 0.75, 0.80, 0.85, 0.90)  # "AP" is the mean over these nine
 MATCHED_OVERLAPS = (0.25, *OVERLAPS)
-MIN_REGION = 100  # points, of ground truths and of predictions
+MIN_REGION = 100  # smallest number of points of a true or predicted instance
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -22,10 +22,10 @@ class SceneTruth:
     """The true instances of a scene.
 
     Attributes:
-        instance_ids: (N,) int64 instance of each point, -1 for void: unlabelled, or of a class that is not scored.
+        instance_ids: (N,) int64 instance of each point, -1 for void (unlabelled, or of a class that is not scored).
         class_of_instance: (P,) int64 semantic class of each instance.
-        ignored: (P,) bool instances that need not be found, as if they were too small: predictions on them are neither
-            right nor wrong. To score a band of visible fractions alone, ignore the parts outside it.
+        ignored: (P,) bool, whether an instance need not be found. Predictions on ignored instances are neither right nor
+            wrong. To score a band of visible fractions, ignore the parts outside it.
     """
 
     instance_ids: NDArray[np.int64]
@@ -44,25 +44,25 @@ class SceneTruth:
             raise ValueError(f"instance_ids must be -1 to {parts - 1} for {parts} instances, got {low} to {high}")
 
     def counted(self, min_region: int) -> NDArray[np.bool_]:
-        """Return (P,) which instances have to be found: not ignored, and of ``min_region`` points or more."""
+        """Return the (P,) mask of instances that have to be found: not ignored, with ``min_region`` points or more."""
         return ~self.ignored & (self.sizes() >= min_region)
 
     def sizes(self) -> NDArray[np.int64]:
-        """Return (P,) number of points of each instance."""
+        """Return the (P,) number of points of each instance."""
         return np.bincount(self.instance_ids + 1, minlength=len(self.ignored) + 1)[1:]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneMatches:
-    """The verdicts on a scene's predictions, each for one overlap; E of them in all.
+    """The E verdicts on the predictions of a scene, each for one prediction at one overlap.
 
     Attributes:
-        overlaps: The IoU thresholds that the scene was matched at.
-        truth_counts: Number of instances that have to be found, by class. Those without a right verdict are missed.
-        labels: (E,) int64 class.
+        overlaps: IoU thresholds that the scene was matched at.
+        truth_counts: Number of instances that have to be found, by class.
+        labels: (E,) int64 semantic class of each verdict.
         overlap_idx: (E,) int64 index into ``overlaps``.
-        scores: (E,) confidence.
-        correct: (E,) bool right or wrong; a prediction that is ignored at an overlap has no verdict there.
+        scores: (E,) confidence of the prediction.
+        correct: (E,) bool, whether the prediction is right. A prediction that is ignored at an overlap has no verdict.
     """
 
     overlaps: tuple[float, ...]
@@ -84,17 +84,23 @@ def match_scene(
     overlaps: Sequence[float] = MATCHED_OVERLAPS,
     min_region: int = MIN_REGION,
 ) -> SceneMatches:
-    """Judge ``instances``, whose points may overlap, at every IoU of ``overlaps``.
+    """Match predicted with true instances at each IoU threshold.
 
-    The rules of the ScanNet benchmark's instance evaluation (Dai et al., CVPR 2017). Within a class, true instances in
-    ascending id take the first free prediction, in the order given, whose IoU is strictly greater than the overlap.
-    Further ones are duplicates: the greatest confidence is right, each other one wrong. A prediction that exceeds the
-    overlap with no true instance is wrong, unless more than that share of it lies on void or on instances of its class
-    that are ignored or under ``min_region`` points. Predictions under ``min_region`` points do not exist.
+    The rules are those of the ScanNet benchmark's instance evaluation (Dai et al., CVPR 2017). Within a class, each true
+    instance, in ascending id, takes the first free prediction, in the order given, whose IoU is strictly greater than
+    the overlap. Further such predictions are duplicates: the one of greatest confidence is right, the others are wrong.
+    A prediction without such a true instance is wrong, unless more than the overlap's share of its points lies on void
+    or on instances of its class that do not count. Predictions under ``min_region`` points are dropped.
+
+    Args:
+        truth: True instances of the scene.
+        instances: Predicted instances, which may share points.
+        overlaps: IoU thresholds.
+        min_region: Number of points from which on an instance counts.
 
     Raises:
-        ValueError: An instance names points that the scene has not, or not in ascending order; an overlap outside
-            [0, 1); a ``min_region`` below 1.
+        ValueError: Points of an instance are outside the scene or not ascending, an overlap is outside [0, 1), or
+            ``min_region`` is below 1.
     """
     if min_region < 1:
         raise ValueError(f"min_region must be at least 1 point, got {min_region}")
@@ -128,30 +134,32 @@ def match_scene(
 
 
 def object_ious(truth: SceneTruth, instances: Sequence[Instance]) -> Floats:
-    """Return (P,) the best IoU of each true instance with ``instances`` of its class; NaN where it has no points.
+    """Return the (P,) best IoU of each true instance with a prediction of its class; NaN where it has no points.
 
     Raises:
-        ValueError: An instance names points that the scene has not, or not in ascending order.
+        ValueError: Points of an instance are outside the scene or not ascending.
 
-    Note: predictions of every size count, and one may be the best of several true instances.
+    Note:
+        Predictions of every size count, and one prediction may be the best one of several true instances.
     """
     return np.where(truth.sizes() > 0, instance_ious(truth, instances).max(axis=0, initial=0.0), np.nan)
 
 
 def instance_ious(truth: SceneTruth, instances: Sequence[Instance]) -> Floats:
-    """Return the (Q, P) IoU of each instance with each true one of its class; 0 with one of another class.
+    """Return the (Q, P) IoU of each prediction with each true instance; 0 for another class.
 
     Raises:
-        ValueError: An instance names points that the scene has not, or not in ascending order.
+        ValueError: Points of an instance are outside the scene or not ascending.
     """
     _require_points(instances, len(truth.instance_ids))
     return _shared_points(truth, instances)[2]
 
 
 def _take_turns(fits: NDArray[np.bool_], scores: Floats) -> Iterator[tuple[int, float, bool]]:
-    """Yield (true instance, score, right or wrong) for (Q, P) ``fits`` of Q predictions and P true instances.
+    """Yield (true instance, score, right or wrong) for the predictions that fit a true instance, (Q, P) ``fits``.
 
-    Note: a duplicate stays free for the true instances that follow, as in the benchmark's script.
+    Note:
+        A duplicate stays free for the true instances that follow, as in the benchmark's script.
     """
     used = np.zeros(len(scores), np.bool_)
     for t in np.flatnonzero(fits.any(axis=0)):
@@ -166,7 +174,7 @@ def _take_turns(fits: NDArray[np.bool_], scores: Floats) -> Iterator[tuple[int, 
 def _shared_points(
     truth: SceneTruth, instances: Sequence[Instance]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Return (Q,) points on void, (Q, P) points shared with true instances of the same class, and their (Q, P) IoU."""
+    """Return for Q predictions the points on void (Q,), those shared with true instances (Q, P), and the IoU (Q, P)."""
     ids, columns = truth.instance_ids + 1, len(truth.ignored) + 1
     hits = np.zeros((len(instances), columns), np.int64)
     for k, instance in enumerate(instances):

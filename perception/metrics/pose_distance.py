@@ -1,8 +1,8 @@
-"""Bregier's distance between poses: how far a part's surface moves from one to the other, modulo symmetry.
+"""Bregier's distance between poses: the displacement of a part's surface, modulo symmetry.
 
 Source: Bregier et al., "Defining the Pose of any 3D Rigid Object and an Associated Distance", IJCV 2018, and "Symmetry
 aware evaluation of 3D object detection and pose estimation in scenes of many parts in bulk", ICCVW 2017. Poses are
-(4, 4) float64 ``T_cam_part``. S representatives of a pose, D their dimension.
+(4, 4) float64 ``T_cam_part``. S is the number of representatives of a pose, D their dimension.
 """
 
 from dataclasses import dataclass
@@ -19,15 +19,16 @@ from perception.part import PartModel
 class PoseSpace:
     """Poses of one part as points of a Euclidean space.
 
-    A pose has S representatives (vec(R B_s), R c + t), and the distance of two poses is the least between one's first
-    and the other's: the root mean square, over the surface, of the distance between a point in the two poses, least
-    over the symmetries. It is a metric, exact also for solids of revolution.
+    A pose has S representatives (vec(R B_s), R c + t). The distance of two poses is the least one between the first
+    representative of one pose and the representatives of the other. It equals the root mean square of the distances
+    between corresponding surface points, minimised over the symmetries. It is a metric, exact also for solids of
+    revolution.
 
     Attributes:
-        centroid: (3,) c, of the surface, part frame [m].
-        bases: (S, 3, M) B_s [m]: ``G_s L`` for a finite group, L being the square root of the surface's covariance
-            (M = 3, D = 12), and ``l G_s a`` for a solid of revolution about a, whose l squared is the sum of the
-            covariance's parts along and across the axis (M = 1, D = 6).
+        centroid: (3,) centroid c of the surface in the part frame [m].
+        bases: (S, 3, M) bases B_s [m]. For a finite group, ``B_s = G_s L`` with the square root L of the covariance of
+            the surface (M = 3, D = 12). For a solid of revolution about a, ``B_s = l G_s a``, where l squared is the sum
+            of the covariance along and across the axis (M = 1, D = 6).
     """
 
     centroid: Floats
@@ -41,10 +42,10 @@ class PoseSpace:
 
     @classmethod
     def of(cls, part: PartModel) -> "PoseSpace":
-        """Measure the surface of ``part``.
+        """Return the pose space of a part.
 
-        The moments are averaged over the declared group, which changes nothing where the mesh has the symmetry
-        exactly, and lets the distance have it also where a mesh of facets has it nearly.
+        The moments of the surface are averaged over the declared symmetry group. This changes nothing if the mesh has
+        the symmetry exactly. For a faceted mesh, it gives the distance the exact symmetry.
         """
         centroid, covariance = surface_moments(part.mesh)
         group, axis = part.symmetry.rotations, part.symmetry.axis
@@ -56,13 +57,14 @@ class PoseSpace:
             along = float(axis @ covariance @ axis)
             across = (float(np.trace(covariance)) - along) / 2
             offset = (offset @ axis) * axis
-            bases = np.sqrt(along + across) * _different(group @ axis)[:, :, None]
+            bases = np.sqrt(along + across) * _distinct(group @ axis)[:, :, None]
         return cls(centroid=part.centre + (group @ offset).mean(axis=0), bases=bases)
 
     def representatives(self, T: Floats) -> Floats:
         """Return the (..., S, D) representatives [m] of (..., 4, 4) poses.
 
-        The nearest neighbour of the first one of a pose among all of many poses finds the nearest pose.
+        The nearest neighbour of a pose's first representative among the representatives of other poses belongs to the
+        nearest of these poses.
         """
         if T.ndim < 2 or T.shape[-2:] != (4, 4):
             raise ValueError(f"poses must be (..., 4, 4), got {T.shape}")
@@ -88,11 +90,11 @@ class PoseSpace:
 def surface_moments(mesh: trimesh.Trimesh) -> tuple[Floats, Floats]:
     """Return the centroid (3,) [m] and covariance (3, 3) [m^2] of a mesh's surface, exactly.
 
-    The integral of x x' over a triangle of area A and corners a, b, c is A / 12 (s s' + a a' + b b' + c c'), s being
-    a + b + c.
+    The integral of x x' over a triangle of area A and corners a, b, c is A / 12 (s s' + a a' + b b' + c c') with
+    s = a + b + c.
     """
     triangles = np.asarray(mesh.triangles, np.float64)
-    middle = triangles.mean(axis=(0, 1))  # moments about a point nearby: no digits are lost far from the origin
+    middle = triangles.mean(axis=(0, 1))  # moments about a nearby point, which keeps precision far from the origin
     corners = triangles - middle
     edges = corners[:, 1:] - corners[:, :1]
     areas = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
@@ -105,8 +107,8 @@ def surface_moments(mesh: trimesh.Trimesh) -> tuple[Floats, Floats]:
     return middle + centroid, second / (12 * total) - np.outer(centroid, centroid)
 
 
-def _different(images: Floats) -> Floats:
-    """Return the different ones of (N, 3) images of an axis: itself, and its opposite if the ends are alike."""
+def _distinct(images: Floats) -> Floats:
+    """Return the distinct ones of (N, 3) images of an axis: the axis, and its opposite if the ends are alike."""
     new = [k for k in range(len(images)) if not any(np.allclose(images[k], images[j], atol=1e-6) for j in range(k))]
     kept: Floats = images[new]
     return kept

@@ -1,4 +1,4 @@
-"""How far an estimated pose is from the true one: the paper's criterion, ADD and ADD-S.
+"""Errors of estimated poses: the paper's criterion, ADD and ADD-S.
 
 Poses are (4, 4) float64 ``T_cam_part``, in metres. E estimates, P true poses, N points.
 """
@@ -12,13 +12,13 @@ from scipy.spatial import KDTree
 from perception.geometry import Floats, require_shape, transform_points
 from perception.part import PartModel
 
-MAX_TRANSLATION = 0.10  # of d_max, as in the paper's section IV.C
-MAX_ROTATION = math.radians(5.0)  # likewise
+MAX_TRANSLATION = 0.10  # limit of the translation error as a share of d_max (section IV.C of the paper)
+MAX_ROTATION = math.radians(5.0)  # limit of the rotation error (section IV.C of the paper) [rad]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseError:
-    """The two halves of the paper's criterion.
+    """The two errors of the paper's criterion.
 
     Attributes:
         translation: Distance between the two positions of the part's centre [m].
@@ -35,10 +35,15 @@ class PoseError:
 
 
 def pose_error(T_est: Floats, T_true: Floats, part: PartModel) -> PoseError:
-    """Return how far ``T_est`` is from ``T_true``, both (4, 4) ``T_cam_part``.
+    """Return the error of an estimated pose.
 
-    Positions are compared at ``part.centre``, which every symmetry fixes: at another point, the origin of the drawing
-    say, a half turn that cannot be seen would count as a translation.
+    Positions are compared at ``part.centre``, which every symmetry keeps in place. At another point, such as the origin
+    of the drawing, a half turn about a symmetry axis would count as a translation.
+
+    Args:
+        T_est: (4, 4) estimated ``T_cam_part``.
+        T_true: (4, 4) true ``T_cam_part``.
+        part: Centre and symmetry of the part.
 
     Raises:
         ValueError: A pose is not (4, 4), or not finite.
@@ -53,10 +58,10 @@ def pose_error(T_est: Floats, T_true: Floats, part: PartModel) -> PoseError:
 def is_recognised(
     error: PoseError, d_max: float, *, max_translation: float = MAX_TRANSLATION, max_rotation: float = MAX_ROTATION
 ) -> bool:
-    """Return whether an error passes the paper's criterion.
+    """Return whether a pose is recognised by the paper's criterion.
 
     Args:
-        error: Of one estimate.
+        error: Error of the estimated pose.
         d_max: Diameter of the part [m].
         max_translation: Largest translation error that passes, as a share of ``d_max``.
         max_rotation: Largest rotation error that passes [rad].
@@ -77,9 +82,16 @@ def recognition_distances(
     max_translation: float = MAX_TRANSLATION,
     max_rotation: float = MAX_ROTATION,
 ) -> Floats:
-    """Return the (E, P) translation errors [m] of (E, 4, 4) estimates that the criterion passes, infinite elsewhere.
+    """Return the (E, P) translation errors [m] of the pairs that pass the paper's criterion; infinite for all others.
 
-    With these distances :func:`perception.metrics.pose_recognition.judge_poses` counts by the paper's criterion.
+    :func:`perception.metrics.pose_recognition.judge_poses` takes these distances to judge by the paper's criterion.
+
+    Args:
+        T_est: (E, 4, 4) estimated poses.
+        T_true: (P, 4, 4) true poses.
+        part: Centre, diameter and symmetry of the part.
+        max_translation: Largest translation error that passes, as a share of ``part.d_max``.
+        max_rotation: Largest rotation error that passes [rad].
 
     Raises:
         ValueError: The poses are not (E, 4, 4) and (P, 4, 4), or not finite, or a limit is negative.
@@ -91,7 +103,7 @@ def recognition_distances(
     distances = np.full((len(T_est), len(T_true)), np.inf)
     centres_est, centres_true = (T[:, :3, :3] @ part.centre + T[:, :3, 3] for T in (T_est, T_true))
     apart = np.linalg.norm(centres_est[:, None] - centres_true, axis=-1)
-    # Nearly all pairs are of different parts, which their positions alone tell: only the others' angles are needed.
+    # Positions alone rule out nearly all pairs; only the remaining ones need an angle.
     for e, p in np.argwhere(apart <= max_translation * part.d_max * (1 + 1e-9)):
         error = pose_error(T_est[e], T_true[p], part)
         if is_recognised(error, part.d_max, max_translation=max_translation, max_rotation=max_rotation):
@@ -100,16 +112,16 @@ def recognition_distances(
 
 
 def add(T_est: Floats, T_true: Floats, points: Floats) -> float:
-    """Return ADD [m]: the mean distance between the (N, 3) model points in the two poses. It knows no symmetry.
+    """Return ADD [m]: the mean distance between the (N, 3) model points in the two poses, without symmetry.
 
     Source: Hinterstoisser et al., "Model Based Training, Detection and Pose Estimation of Texture-Less 3D Objects in
-    Heavily Cluttered Scenes", ACCV 2012. An estimate passes by custom below a tenth of the diameter.
+    Heavily Cluttered Scenes", ACCV 2012. By convention, an estimate is right below a tenth of the diameter.
 
     Args:
-        T_est: (4, 4) estimate.
-        T_true: (4, 4) truth.
-        points: (N, 3) in the part frame [m]: the mesh's vertices by custom, though samples of the surface do not
-            depend on how it is cut into triangles.
+        T_est: (4, 4) estimated pose.
+        T_true: (4, 4) true pose.
+        points: (N, 3) model points in the part frame [m]. By convention they are the vertices of the mesh; samples of
+            the surface do not depend on its triangulation.
 
     Raises:
         ValueError: A pose is not (4, 4) and finite, or there is no point.
@@ -121,13 +133,13 @@ def add(T_est: Floats, T_true: Floats, points: Floats) -> float:
 def add_s(T_est: Floats, T_true: Floats, points: Floats) -> float:
     """Return ADD-S (ADI) [m]: the mean distance from the points in the true pose to the nearest in the estimated one.
 
-    Source: as :func:`add`. It needs no declared symmetry, but forgives much that is none; not symmetric in its
-    arguments.
+    It needs no declared symmetry, but also forgives errors that no symmetry explains. It is not symmetric in its
+    arguments. Source: as :func:`add`.
 
     Args:
-        T_est: (4, 4) estimate.
-        T_true: (4, 4) truth.
-        points: (N, 3) in the part frame [m].
+        T_est: (4, 4) estimated pose.
+        T_true: (4, 4) true pose.
+        points: (N, 3) model points in the part frame [m].
 
     Raises:
         ValueError: A pose is not (4, 4) and finite, or there is no point.

@@ -1,7 +1,9 @@
-"""Which estimated poses of a bin are right, precision and recall over bins, and Bregier's average precision.
+"""Verdicts on the estimated poses of a bin, precision and recall over bins, and Bregier's average precision.
 
 Source: Bregier et al., "Symmetry aware evaluation of 3D object detection and pose estimation in scenes of many parts in
-bulk", ICCVW 2017. E estimates, P true instances, K operating points, S scenes.
+bulk", ICCVW 2017.
+
+Shapes: E estimates, P true instances, K operating points, S scenes.
 """
 
 from collections.abc import Sequence
@@ -13,8 +15,8 @@ from numpy.typing import NDArray
 from perception.geometry import Floats, require_shape
 from perception.metrics.average_precision import PrecisionRecall
 
-MAX_DISTANCE = 0.10  # of the diameter: an estimate nearer than this to an instance is of that instance
-MIN_VISIBLE = 0.5  # instances that are occluded by less than half have to be found
+MAX_DISTANCE = 0.10  # distance up to which an estimate belongs to an instance, as a share of the diameter
+MIN_VISIBLE = 0.5  # visible fraction from which on an instance has to be found
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -22,10 +24,11 @@ class PoseVerdicts:
     """The verdicts on the estimates of one scene.
 
     Attributes:
-        scores: (E,) confidence.
-        claims: (E,) int64 true instance that each estimate is of, -1 for none.
-        correct: (E,) bool right: the best-scored estimate of an instance that has to be found.
-        excused: (E,) bool neither right nor wrong: the best-scored one of an instance that need not be found.
+        scores: (E,) confidence of each estimate.
+        claims: (E,) int64 true instance that each estimate belongs to, -1 for none.
+        correct: (E,) bool, whether an estimate is the best-scored one of an instance that has to be found.
+        excused: (E,) bool, whether an estimate is the best-scored one of an instance that need not be found. It is
+            neither right nor wrong.
         to_find: Number of instances that have to be found.
     """
 
@@ -50,21 +53,21 @@ class PoseVerdicts:
 def judge_poses(distances: Floats, scores: Floats, to_find: NDArray[np.bool_], max_distance: float) -> PoseVerdicts:
     """Judge the estimates of a scene.
 
-    Each estimate is of its nearest instance, or of none if that is ``max_distance`` away or more. Of several of one
-    instance the best-scored (of equals the first) is right, or excused if the instance need not be found; the others
-    are duplicates, which are wrong, as are those of no instance.
+    Each estimate belongs to its nearest instance, or to none if that is ``max_distance`` away or more. The best-scored
+    estimate of an instance (the first of equal scores) is right, or excused if the instance need not be found. All other
+    estimates are wrong: duplicates, and those that belong to no instance.
 
-    Bregier's script takes the nearest duplicate for the right one, which counts the same at every score, and lets a
-    nearer estimate of another instance take an instance from its own estimate, as can happen between parts that lie
-    closer than twice ``max_distance``; here it keeps its own.
+    Differs from Bregier's script in two ways. The script takes the nearest duplicate for the right one, which gives the
+    same counts at every score. Between parts that lie closer than twice ``max_distance``, the script may assign an
+    instance to a nearer estimate of another instance.
 
     Args:
-        distances: (E, P) from each estimate to each true instance [m], of `PoseSpace.distances` with a ``max_distance``
-            of `MAX_DISTANCE` times the diameter, or of `recognition_distances` with an infinite one; an infinite
-            distance is never a match.
-        scores: (E,) confidence.
-        to_find: (P,) bool; see `visible_enough`.
-        max_distance: [m].
+        distances: (E, P) distance from each estimate to each true instance [m]; an infinite one is never a match. Use
+            `PoseSpace.distances` with a ``max_distance`` of `MAX_DISTANCE` times the diameter, or
+            `recognition_distances` with an infinite ``max_distance``.
+        scores: (E,) confidence of each estimate.
+        to_find: (P,) bool, whether an instance has to be found; see `visible_enough`.
+        max_distance: Distance from which on an estimate belongs to no instance [m].
 
     Raises:
         ValueError: The shapes do not agree, a distance is negative or NaN, ``max_distance`` is not positive, or a
@@ -92,17 +95,21 @@ def judge_poses(distances: Floats, scores: Floats, to_find: NDArray[np.bool_], m
 
 
 def visible_enough(visible_fractions: Floats, min_visible: float = MIN_VISIBLE) -> NDArray[np.bool_]:
-    """Return (P,) which instances have to be found: those whose visible fraction is ``min_visible`` or more."""
+    """Return the (P,) mask of instances whose visible fraction is at least ``min_visible``: they have to be found."""
     enough: NDArray[np.bool_] = visible_fractions >= min_visible
     return enough
 
 
 def pose_precision_recall(scenes: Sequence[PoseVerdicts], *, pooled: bool = False) -> PrecisionRecall:
-    """Return precision and recall for every score of ``scenes``, by ascending score.
+    """Return precision and recall at every score that occurs, by ascending score.
 
-    Bregier's curve is the mean over scenes of each scene's precision (1 where it accepts nothing) and recall at the
-    same score; ``pooled`` counts the estimates and instances of all scenes together instead. Scenes with nothing to
-    find have no recall and are left out of its mean (Bregier's script gives them recall 1).
+    Bregier's curve is the mean over scenes of the precision (1 for a scene that accepts nothing) and the recall at the
+    same score. Scenes with nothing to find have no recall and are left out of its mean; Bregier's script gives them
+    recall 1.
+
+    Args:
+        scenes: Verdicts on each scene.
+        pooled: Count the estimates and instances of all scenes together instead.
 
     Raises:
         ValueError: There is no scene.
@@ -122,10 +129,10 @@ def pose_precision_recall(scenes: Sequence[PoseVerdicts], *, pooled: bool = Fals
 
 
 def pose_average_precision(curve: PrecisionRecall) -> float:
-    """Return the area under a curve of `pose_precision_recall` as Bregier takes it; NaN without an instance to find.
+    """Return Bregier's area under a curve of `pose_precision_recall`; NaN without an instance to find.
 
-    The sum of precision times the step in recall that it was reached by, not interpolated: unlike ScanNet's average
-    precision of segments.
+    It is the sum of each precision times the step in recall that reaches it, without interpolation. ScanNet's average
+    precision of segments uses another rule.
     """
     steps = np.diff(curve.recall[::-1], prepend=0.0)
     return float(steps @ curve.precision[::-1])

@@ -1,4 +1,4 @@
-"""Arrays that are slow to compute and depend on nothing but their key, kept in the user's cache folder."""
+"""A cache in the user's cache folder for arrays that are slow to compute and determined by their key."""
 
 import hashlib
 import logging
@@ -18,12 +18,12 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 def cache_folder() -> Path:
-    """Return where results are kept: ``$BINPICK_CACHE``, else the platform's cache folder for this user."""
+    """Return the cache folder: ``$BINPICK_CACHE``, or else the platform's cache folder of this user."""
     return Path(os.environ.get("BINPICK_CACHE") or platformdirs.user_cache_dir("binpick"))
 
 
 def digest(*contents: object) -> str:
-    """Return a sha256 over arrays (shape, dtype and bytes) and everything else's ``repr``."""
+    """Return a sha256 over arrays (shape, dtype and bytes) and the ``repr`` of all other values."""
     total = hashlib.sha256()
     for content in contents:
         if isinstance(content, np.ndarray):
@@ -37,9 +37,14 @@ def digest(*contents: object) -> str:
 def cached_arrays(kind: str, key: str, compute: Callable[[], Arrays]) -> Arrays:
     """Return the arrays stored for ``kind`` and ``key``, or compute and store them.
 
+    Args:
+        kind: Name of what is computed, the first part of the file's name.
+        key: Digest of everything that the arrays depend on.
+        compute: Returns the arrays by name.
+
     Note:
-        Written to a temporary file and renamed, so that parallel workers never read half a file. An unreadable file is
-        computed anew; a folder that cannot be written costs time and a warning only.
+        Files are written atomically, so parallel workers never read half a file. Arrays of an unreadable file are
+        computed again. If the folder cannot be written, a warning is logged.
     """
     path = cache_folder() / f"{kind}-{key}.npz"
     try:

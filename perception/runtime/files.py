@@ -1,4 +1,4 @@
-"""Files that are whole or absent: written beside their place and renamed."""
+"""Atomic writes: a file is written under another name and then renamed, so no reader sees half of it."""
 
 import json
 import os
@@ -29,7 +29,7 @@ def _without_nan(values: Any) -> Any:
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` so that no reader, and no crash, ever meets half of it."""
+    """Write ``text`` to ``path`` atomically; folders that are missing are created."""
 
     def write(draft: Path) -> None:
         draft.write_text(text)
@@ -38,7 +38,12 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def replace_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Let ``write`` fill a draft beside ``path`` and rename it; a draft that fails, on a full disk say, is removed."""
+    """Replace ``path`` atomically by what ``write`` writes.
+
+    Args:
+        path: File to create or replace; folders that are missing are created.
+        write: Writes the file whose path it is given. If it fails, that file is removed and ``path`` stays as it was.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:

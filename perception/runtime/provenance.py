@@ -1,4 +1,4 @@
-"""Where a number comes from: versions, commit, command."""
+"""Provenance of a result: package versions, commit, command, machine."""
 
 import os
 import platform
@@ -30,7 +30,7 @@ PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Return the versions behind a result: Python, the platform, the packages that shape it."""
+    """Return the versions of Python, the platform and the packages that results depend on."""
     found = {"python": platform.python_version(), "platform": platform.platform(), "cores": str(os.cpu_count())}
     for name in PACKAGES:
         try:
@@ -41,7 +41,7 @@ def versions() -> dict[str, str]:
 
 
 def machine() -> str:
-    """Return the processor's model and the number of cores, as "AMD EPYC 7B13, 16 cores"."""
+    """Return the model and the number of cores of the processor, for example "AMD EPYC 7B13, 16 cores"."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:  # not Linux
@@ -53,15 +53,15 @@ def machine() -> str:
 
 @lru_cache(maxsize=1)
 def git_commit() -> str:
-    """Return the commit of this checkout, with ``-dirty`` for changed files; "" where the code is not in a checkout."""
+    """Return the commit of this checkout, with ``-dirty`` if files were changed; "" outside of a checkout."""
     root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():  # the wheel may be installed inside of someone else's repository
+    if not (root / ".git").exists():  # the wheel may be installed inside another repository
         return ""
     try:
         described = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
             cwd=root, capture_output=True, text=True, timeout=10, check=True,
-            env=os.environ | {"GIT_OPTIONAL_LOCKS": "0"},  # only look: a commit may be under way
+            env=os.environ | {"GIT_OPTIONAL_LOCKS": "0"},  # take no lock, as a commit may be under way
         )  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return ""

@@ -1,10 +1,10 @@
-"""Files of records: whole or absent, each with its kind and version, in one of three layouts.
+"""Records: files with a kind and a version, written atomically in one of three layouts.
 
 - Arrays: NPZ; ``kind`` and ``version`` are arrays of one value.
 - Tensors: safetensors; a JSON header ``record`` holds ``version`` and every other plain value.
 - Plain values: JSON with ``kind`` and ``version``.
 
-Files of before this module are read too: they name no kind, and some no version, which means version 1.
+Older files name no kind, which is accepted, and some name no version, which means version 1.
 """
 
 import json
@@ -49,7 +49,7 @@ class RecordFormat:
     error: type[RecordError] = RecordError
 
     def save_arrays(self, path: Path, arrays: Mapping[str, Any], *, compressed: bool = True) -> None:
-        """Write arrays, numbers and text as NPZ, in one piece or not at all."""
+        """Write arrays, numbers and text as NPZ, atomically."""
         whole = {"kind": np.str_(self.kind), "version": np.int64(self.version), **arrays}
         save = np.savez_compressed if compressed else np.savez
 
@@ -72,7 +72,7 @@ class RecordFormat:
             return build(arrays)
 
     def save_plain(self, path: Path, values: Mapping[str, Any], *, indent: int | None = 1) -> None:
-        """Write plain values as JSON, in one piece or not at all; NaN becomes null.
+        """Write plain values as JSON, atomically; NaN becomes null.
 
         Args:
             path: File to write.
@@ -93,20 +93,20 @@ class RecordFormat:
             return build({name: value for name, value in values.items() if name not in ("kind", "version")})
 
     def save_tensors(self, path: Path, tensors: "Mapping[str, Tensor]", header: Mapping[str, Any]) -> str:
-        """Write named tensors of any device and a header as safetensors, in one piece or not at all.
+        """Write named tensors of any device and a header as safetensors, atomically.
 
         Args:
             path: File to write.
-            tensors: Named tensors.
+            tensors: Tensors by name.
             header: Anything that JSON holds.
 
         Returns:
             The header as JSON, version included.
 
         Raises:
-            OSError: The file cannot be written; what stood there before is untouched.
+            OSError: The file cannot be written; a previous one stays as it was.
         """
-        from safetensors.torch import save_file  # here, so that arrays can be read without torch's second of import
+        from safetensors.torch import save_file  # not at the top: importing torch takes a second
 
         text = json_text({"version": self.version, **header})
         whole = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
@@ -168,4 +168,4 @@ class RecordFormat:
             raise
         except Exception as error:  # a flipped bit draws nearly anything from zipfile, zlib, JSON and NumPy's headers
             reason = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-            raise self.error(f"{path} holds no whole {self.kind} ({reason}); {self.remedy}") from error
+            raise self.error(f"{path} does not hold a complete {self.kind} ({reason}); {self.remedy}") from error

@@ -1,4 +1,4 @@
-"""How many threads compute: one core means one core, so that times can be compared."""
+"""Number of threads of a computation, so that measured times can be compared."""
 
 import os
 import sys
@@ -17,10 +17,10 @@ _VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Compute on one thread in here, and in processes started in here; afterwards all is as before.
+    """Compute on one thread within this context, and in processes that it starts.
 
-    OpenCV is told so at once; BLAS and OpenMP read their variables when they are loaded, so those reach new processes
-    only. The compiled kernels are not parallel, and MuJoCo steps on one thread.
+    The setting of OpenCV takes effect at once. BLAS and OpenMP read their environment variables when they are loaded,
+    so these take effect in new processes only. The compiled kernels are not parallel, and MuJoCo steps on one thread.
     """
     kept = {name: os.environ.get(name) for name in _VARIABLES}
     threads = cv2.getNumThreads()
@@ -39,7 +39,7 @@ def one_core() -> Iterator[None]:
 
 @contextmanager
 def use_threads(count: int | None) -> Iterator[None]:
-    """Let OpenCV, and torch if it is loaded by now, compute on ``count`` threads in here; None leaves them alone.
+    """Let OpenCV, and torch if it is loaded, compute on ``count`` threads within this context; None changes nothing.
 
     Raises:
         ValueError: ``count`` is not positive.
@@ -49,7 +49,7 @@ def use_threads(count: int | None) -> Iterator[None]:
         return
     if count < 1:
         raise ValueError(f"threads must be at least 1, got {count}")
-    torch = sys.modules.get("torch")  # what does without a network need not load it
+    torch = sys.modules.get("torch")  # a computation without a network need not load it
     before = cv2.getNumThreads(), torch.get_num_threads() if torch else 0
     cv2.setNumThreads(count)
     if torch:
@@ -63,9 +63,9 @@ def use_threads(count: int | None) -> Iterator[None]:
 
 
 def in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return ``work`` done on each item, in their order, on as many threads as OpenCV may use.
+    """Return the results of ``work`` for each item, in order, computed on as many threads as OpenCV may use.
 
-    It pays where ``work`` spends its time in compiled code that lets go of the interpreter's lock.
+    Threads save time only where ``work`` runs compiled code that releases the interpreter's lock.
     """
     todo, threads = list(items), cv2.getNumThreads()
     if min(len(todo), threads) < 2:

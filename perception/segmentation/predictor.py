@@ -1,4 +1,4 @@
-"""Arrays in, instances out: networks and grouping behind one door."""
+"""The segmentation predictor: boundary points in, instances out."""
 
 import logging
 from dataclasses import dataclass, field
@@ -26,13 +26,13 @@ Singles = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True)
 class PredictorConfig:
-    """How a trained network is used.
+    """Settings of the prediction with a trained network.
 
     Attributes:
-        grouping: Of the points by their embedding.
-        subset: Points that a network over point sets (the paper's) sees at once; the image-plane network sees all.
-        bf16: Run the image-plane network's trunk in bfloat16; the others' graphs need full precision.
-        seed: Of the subsets; the same cloud is always divided the same way.
+        grouping: Settings of the grouping of points by their embedding.
+        subset: Number of points that a network over point sets (the paper's) sees at once.
+        bf16: Run the trunk of the image-plane network in bfloat16. The graphs of other networks need full precision.
+        seed: Seed of the subsets; the same cloud is always divided in the same way.
     """
 
     grouping: GroupingConfig = field(default_factory=GroupingConfig)
@@ -47,12 +47,13 @@ class PredictorConfig:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PointPredictions:
-    """What the network says about each of N points.
+    """Outputs of the network for each of N points.
 
     Attributes:
-        embedding: (N, F) float32.
-        confidence: (N,) float32 in (0, 1).
-        offsets: (N, 3) float32 to the part's centre in units of d_max; None without that head.
+        embedding: (N, F) float32 embedding.
+        confidence: (N,) float32 confidence in (0, 1).
+        offsets: (N, 3) float32 offset from each point to the centre of its part, in units of d_max; None for networks
+            without that output.
     """
 
     embedding: Singles
@@ -61,21 +62,21 @@ class PointPredictions:
 
 
 class SegmentationPredictor:
-    """Labels all boundary points of a frame.
+    """Segments all boundary points of a frame.
 
-    A network over point sets sees random subsets of the cloud that cover it once; embeddings of different subsets are
-    comparable, so all points are grouped together. The image-plane network sees the whole frame at once.
+    A network over point sets sees random subsets, which cover the cloud once. Embeddings of different subsets are
+    comparable, so all points are grouped together. The image-plane network sees all points at once.
     """
 
     def __init__(
         self, network: Network, config: PredictorConfig | None = None, device: torch.device | str | None = None
     ) -> None:
-        """Use ``network``; on a GPU if there is one and none is named.
+        """Use a network.
 
         Args:
-            network: Trained; it is put into evaluation mode and moved.
-            config: :class:`PredictorConfig`'s defaults if left out.
-            device: Where it runs.
+            network: Trained network. It is put into evaluation mode and moved to the device.
+            config: Settings of the prediction; the defaults of :class:`PredictorConfig` if left out.
+            device: Device of the computation; a GPU if there is one, unless given.
         """
         self.config = config or PredictorConfig()
         self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
@@ -87,10 +88,15 @@ class SegmentationPredictor:
     def for_part(
         cls, part: str, config: PredictorConfig | None = None, device: torch.device | str | None = None
     ) -> "SegmentationPredictor":
-        """Use the weights for a part, by its catalogue name or the stem of its file.
+        """Return the predictor with the weights for a part.
+
+        Args:
+            part: Catalogue name, or path of a mesh file, whose stem counts.
+            config: Settings of the prediction; the defaults of :class:`PredictorConfig` if left out.
+            device: Device of the computation; a GPU if there is one, unless given.
 
         Raises:
-            WeightsError: There are none; the text names the commands that make them.
+            WeightsError: There are no weights for the part; the message names the commands that make them.
         """
         return cls.from_file(find_weights(Path(part).stem), config, device)
 
@@ -98,17 +104,17 @@ class SegmentationPredictor:
     def from_file(
         cls, path: Path, config: PredictorConfig | None = None, device: torch.device | str | None = None
     ) -> "SegmentationPredictor":
-        """Use the weights of a ``.safetensors`` file."""
+        """Return the predictor with the weights of a ``.safetensors`` file."""
         _log.info("loading the segmentation network %s", path)
         return cls(load_network(path), config, device)
 
     def predict(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> list[Instance]:
-        """Return the instances, best first; an empty cloud, or one without a group, has none.
+        """Return the instances in a frame, best first; none for an empty cloud or one without groups.
 
         Args:
-            boundary: All boundary points of a frame.
-            surface: The same frame's organised cloud in cells of this part's size.
-            d_max: The part's largest extent [m].
+            boundary: All boundary points of the frame.
+            surface: Coarse surface of the same frame, for the same ``d_max``.
+            d_max: Largest extent of the part [m].
 
         Raises:
             ValueError: ``d_max`` is not positive.
@@ -117,19 +123,21 @@ class SegmentationPredictor:
             raise ValueError(f"d_max must be positive and finite, got {d_max}")
         if len(boundary) == 0:
             return []
-        said = self.describe(boundary, surface, d_max)
-        groups = group_points(said.embedding, said.confidence, boundary.points_cam, d_max, self.config.grouping)
+        predicted = self.describe(boundary, surface, d_max)
+        groups = group_points(
+            predicted.embedding, predicted.confidence, boundary.points_cam, d_max, self.config.grouping
+        )
         return instances_of(groups.labels, groups.scores)
 
     def describe(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> PointPredictions:
-        """Return the network's outputs for all points of a cloud that is not empty."""
+        """Return the outputs of the network for all points of a cloud, which must not be empty."""
         with torch.inference_mode():
             if not isinstance(self.network, GridNet):
-                return self._subsets(boundary.points_cam, d_max)
+                return self._by_subsets(boundary.points_cam, d_max)
             with half_precision(self.device, self.config.bf16):
-                return self._whole(boundary, surface, d_max)
+                return self._all_at_once(boundary, surface, d_max)
 
-    def _whole(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> PointPredictions:
+    def _all_at_once(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> PointPredictions:
         points = boundary.points_cam
         reference = float(np.median(points[:, 2]))
         view = view_grid(surface.depth, place_in(surface, boundary.pixels), points[:, 2], d_max, reference)
@@ -137,7 +145,7 @@ class SegmentationPredictor:
         inputs = GridInputs(*(torch.from_numpy(array)[None].to(self.device) for array in arrays))
         return _predictions(self.network(inputs))
 
-    def _subsets(self, points: Floats, d_max: float) -> PointPredictions:
+    def _by_subsets(self, points: Floats, d_max: float) -> PointPredictions:
         order = np.random.default_rng(self.config.seed).permutation(len(points))
         coordinates = centred(points, d_max)
         found: list[PointPredictions] = []

@@ -1,4 +1,4 @@
-"""A labelled boundary scene, and its file."""
+"""A labelled scene of boundary points, and its file."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,13 +12,13 @@ from perception.geometry import Floats, require_shape
 from perception.runtime.records import RecordError, RecordFormat
 from perception.segmentation.surface import Surface
 
-SCENES_NOTE = "scenes.json"  # what all scenes of a folder depend on, beside them
-SURFACE_UNIT = 2e-5  # of the surface's depth in the file [m]
-FARTHEST = 65535 * SURFACE_UNIT  # that it can hold there [m]
+SCENES_NOTE = "scenes.json"  # file beside the scenes of a folder with the settings that made them
+SURFACE_UNIT = 2e-5  # resolution of the depth of the surface in a file [m]
+FARTHEST = 65535 * SURFACE_UNIT  # largest depth of the surface in a file [m]
 
 
 class SceneError(RecordError):
-    """A file does not hold a whole scene of this version."""
+    """A file does not hold a complete scene of this version."""
 
 
 FORMAT = RecordFormat(kind="scene", version=1, remedy="generate_scenes makes scenes", error=SceneError)
@@ -26,18 +26,18 @@ FORMAT = RecordFormat(kind="scene", version=1, remedy="generate_scenes makes sce
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoundaryScene:
-    """The boundary points of one bin of identical parts, and the truth about them.
+    """The boundary points of a bin of identical parts, and the ground truth.
 
     Attributes:
         part: Name of the part.
-        d_max: The part's largest extent [m].
-        boundary: What the camera saw.
-        surface: The organised cloud in coarse cells, seen from the same camera.
-        K: (3, 3) of the camera [px].
+        d_max: Largest extent of the part [m].
+        boundary: Boundary points of the frame.
+        surface: Coarse surface of the same frame.
+        K: (3, 3) camera matrix [px].
         instance_ids: (N,) int64 part that each boundary point lies on, -1 for the container.
-        T_cam_parts: (P, 4, 4) true poses, part i carrying id i.
-        centres_cam: (P, 3) true part centres [m].
-        visible_fractions: (P,) in [0, 1].
+        T_cam_parts: (P, 4, 4) true poses; part i has id i.
+        centres_cam: (P, 3) true centres of the parts in the camera frame [m].
+        visible_fractions: (P,) visible fraction of each part in [0, 1].
     """
 
     part: str
@@ -62,13 +62,13 @@ class BoundaryScene:
             raise ValueError(f"d_max must be positive, got {self.d_max}")
 
     def save(self, path: Path) -> None:
-        """Write a compressed file in one piece, or not at all.
+        """Write a compressed file, atomically.
 
         Raises:
-            ValueError: The surface lies farther away than the file's 16 bits reach.
+            ValueError: The surface lies farther away than the 16 bits of the file can express.
 
         Note:
-            Points are stored as pixel and float32 depth, tangents and linearity in 8 bits, the surface in 20 um steps.
+            Points are stored as pixel and float32 depth, tangents and linearity in 8 bits, the surface in steps of 20 um.
         """
         b, s = self.boundary, self.surface
         if s.depth.max(initial=0.0) > FARTHEST:
@@ -95,7 +95,7 @@ class BoundaryScene:
         """Read a scene.
 
         Raises:
-            SceneError: The file is missing, cut off or of another version.
+            SceneError: The file is missing, damaged, or of another kind or version.
         """
         return FORMAT.load_arrays(path, cls._from_arrays)
 
@@ -125,5 +125,5 @@ class BoundaryScene:
         )
 
     def only(self, mask: NDArray[np.bool_]) -> "BoundaryScene":
-        """Return the scene with the boundary points of (N,) ``mask`` alone."""
+        """Return the scene with only the boundary points of the (N,) ``mask``."""
         return replace(self, boundary=self.boundary.only(mask), instance_ids=self.instance_ids[mask])

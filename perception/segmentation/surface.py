@@ -1,4 +1,4 @@
-"""The organised cloud in coarse cells: what lies between the boundary points."""
+"""The coarse surface: depth of the nearest surface in square cells of the image."""
 
 from dataclasses import dataclass
 
@@ -10,9 +10,9 @@ from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import require_shape
 from perception.segmentation import _surface_kernels as _kernels
 
-CELLS_PER_D_MAX = 80  # fine enough for the network's cells, twice as large, to be sampled from at any turn
-STEP = BoundarySettings.step  # depths of one cell that differ by less are one surface [m]
-HEADROOM = BoundarySettings.headroom  # of a heaped pile over the rim [m]
+CELLS_PER_D_MAX = 80  # cells per largest extent of the part; the network's cells, twice as large, are sampled from them
+STEP = BoundarySettings.step  # depths in a cell that differ by less belong to one surface [m]
+HEADROOM = BoundarySettings.headroom  # height above the rim up to which a heaped pile is seen [m]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -20,9 +20,9 @@ class Surface:
     """Depth of the nearest surface in square cells of the image.
 
     Attributes:
-        depth: (h, w) float32 [m], 0 where nothing was measured.
+        depth: (h, w) float32 depth of each cell [m], 0 where nothing was measured.
         u0: Pixel column of the left border of the first cell.
-        v0: Pixel row of its upper border.
+        v0: Pixel row of the upper border of the first cell.
         cell: Side of a cell [px].
     """
 
@@ -38,12 +38,14 @@ class Surface:
 
 
 def coarse_surface(frame: Frame, workspace: Workspace, d_max: float) -> Surface:
-    """Return the nearest surface over the bin's part of the image, in cells of about ``d_max / 80``, or of a pixel.
+    """Return the coarse surface of the region of the image that shows the bin.
+
+    A cell is about ``d_max / 80`` wide at the floor of the bin, and at least a pixel.
 
     Args:
-        frame: One labelled_capture.
-        workspace: The bin.
-        d_max: The part's largest extent [m].
+        frame: Frame of the camera.
+        workspace: Pose and size of the bin.
+        d_max: Largest extent of the part [m].
 
     Raises:
         ValueError: ``d_max`` is not positive, too large for the bin, or so small that a cell is under half a pixel.
@@ -65,7 +67,7 @@ def coarse_surface(frame: Frame, workspace: Workspace, d_max: float) -> Surface:
             f"a part of d_max {1000 * d_max:.1f} mm is {cell * CELLS_PER_D_MAX:.0f} px long at the bin's floor; "
             f"at least {CELLS_PER_D_MAX // 2} px are needed (is its model in metres?)"
         )
-    cell = max(cell, 1.0)  # a smaller one may hold no pixel at all
+    cell = max(cell, 1.0)  # a smaller cell may contain no pixel
     shape = (int(np.ceil((v1 - v0) / cell)), int(np.ceil((u1 - u0) / cell)))
     depth = _kernels.nearest_surface(frame.depth, u0, v0, cell, shape, STEP)
     return Surface(depth=depth, u0=float(u0), v0=float(v0), cell=cell)

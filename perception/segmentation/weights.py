@@ -1,4 +1,4 @@
-"""Trained networks on disk: safetensors files that also hold what made them, with a JSON of it beside for people."""
+"""Files of trained networks: safetensors with a record of the training, which is also written as JSON beside them."""
 
 from dataclasses import asdict
 from functools import partial
@@ -24,7 +24,7 @@ _KINDS: dict[str, tuple[type[GridNetConfig] | type[SgpnConfig], type[GridNet] | 
 
 
 class WeightsError(RecordError):
-    """There are no weights for a part, or a file does not hold a whole network of this version."""
+    """There are no weights for a part, or a file does not hold a complete network of this version."""
 
 
 FORMAT = RecordFormat(
@@ -33,18 +33,18 @@ FORMAT = RecordFormat(
 
 
 def build_network(config: GridNetConfig | SgpnConfig) -> Network:
-    """Return a network with fresh weights (of torch's global generator)."""
+    """Return a network with weights drawn from torch's global generator."""
     return GridNet(config) if isinstance(config, GridNetConfig) else Sgpn(config)
 
 
 def save_network(path: Path, network: Network, record: dict[str, Any], *, half: bool = False) -> None:
-    """Write ``path`` (safetensors), which holds the record too, and the record as JSON beside it, each in one piece.
+    """Write a network with its record as safetensors, and the record as JSON beside it, each atomically.
 
     Args:
-        path: Ends with ``.safetensors``.
-        network: On any device.
-        record: How it was trained: anything JSON holds; ``parts`` names the parts that it is for.
-        half: Store what was learned in 16 bits, half the file; it is float32 again when loaded.
+        path: File to write; its name ends with ``.safetensors``.
+        network: Network on any device.
+        record: Description of the training, anything that JSON holds; ``parts`` names the parts that it was trained on.
+        half: Store the learned parameters in 16 bits, which halves the file. They are float32 again when loaded.
     """
     kind = "grid" if isinstance(network, GridNet) else "sgpn"
     tensors = dict(network.state_dict())
@@ -55,10 +55,10 @@ def save_network(path: Path, network: Network, record: dict[str, Any], *, half: 
 
 
 def load_record(path: Path) -> dict[str, Any]:
-    """Read what a ``.safetensors`` file says of its network.
+    """Return the record in a ``.safetensors`` file.
 
     Raises:
-        WeightsError: The file is missing, damaged, of another version, or not one of :func:`save_network`.
+        WeightsError: The file is missing, damaged, of another version, or not written by :func:`save_network`.
     """
     return FORMAT.load_header(path)
 
@@ -83,13 +83,15 @@ def _network_of(record: dict[str, Any], tensors: dict[str, Tensor]) -> Network:
 
 
 def find_weights(part: str) -> Path:
-    """Return the weights for a part: the user's own before the shipped ones, the part's own before the shared ones.
+    """Return the path of the weights for a part.
+
+    Weights for the part alone precede shared ones; among these, the user's precede shipped ones.
 
     Args:
         part: Catalogue name, or the stem of a mesh file.
 
     Raises:
-        WeightsError: There are none; the text names the commands that make them.
+        WeightsError: There are no weights for the part; the message names the commands that make them.
     """
     own = user_folder()
     for folder in (own, SHIPPED):
@@ -106,7 +108,7 @@ def find_weights(part: str) -> Path:
 
 
 def install_weights(path: Path, name: str) -> Path:
-    """Copy weights and their JSON to the user's own under ``name``; return the copy's path."""
+    """Copy weights and their JSON to the user's folder under ``name``; return the path of the copy."""
     target = user_folder() / f"{name}.safetensors"
     for suffix in (".safetensors", ".json"):
         source = path.with_suffix(suffix)
@@ -115,5 +117,5 @@ def install_weights(path: Path, name: str) -> Path:
 
 
 def user_folder() -> Path:
-    """Return where a user's own weights lie, in the cache folder."""
+    """Return the folder of the user's own weights, in the cache folder."""
     return cache_folder() / "weights"

@@ -68,11 +68,11 @@ def test_any_depth_is_finite_and_not_negative_afterwards(values: list[float], dt
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"depth": np.ones((4, 5))}, "grey and depth must be one (H, W), got (4, 6) and (4, 5)"),
-        ({"depth": np.ones((4, 6, 1))}, "grey and depth must be one (H, W), got (4, 6) and (4, 6, 1)"),
+        ({"depth": np.ones((4, 5))}, "grey and depth must have the same shape (H, W), got (4, 6) and (4, 5)"),
+        ({"depth": np.ones((4, 6, 1))}, "grey and depth must have the same shape (H, W), got (4, 6) and (4, 6, 1)"),
         (
             {"grey": np.zeros((4, 6, 3), np.uint8), "depth": np.ones((4, 6, 3))},
-            "grey and depth must be one (H, W), got (4, 6, 3) and (4, 6, 3)",
+            "grey and depth must have the same shape (H, W), got (4, 6, 3) and (4, 6, 3)",
         ),
         ({"grey": np.zeros(SHAPE, np.float32)}, "grey must be uint8, got float32"),
         (

@@ -209,7 +209,7 @@ def test_a_run_is_resumed_and_damaged_files_are_made_again(tmp_path: Path, caplo
     with caplog.at_level(logging.WARNING):
         assert list(generate_scenes(TINY, 3, tmp_path)) == [0, 1, 2]
     assert "made again: " in caplog.text
-    assert "scene_00001.npz holds no whole scene" in caplog.text
+    assert "scene_00001.npz does not hold a complete scene" in caplog.text
     assert scene_path(tmp_path, 0).stat().st_mtime_ns == kept
     assert scene_path(tmp_path, 1).read_bytes() == whole[1]
     assert sorted(path.name for path in tmp_path.iterdir()) == [

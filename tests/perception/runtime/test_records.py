@@ -68,18 +68,20 @@ def test_another_kind_and_version_are_refused_with_a_remedy(tmp_path: Path, suff
 @SUFFIXES
 def test_a_missing_or_cut_file_and_a_failing_reader_raise_the_formats_error(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a.{suffix}"
-    with pytest.raises(DrawingError, match=rf"a\.{suffix} holds no whole drawing \(.*No such file.*\); draw makes"):
+    with pytest.raises(
+        DrawingError, match=rf"a\.{suffix} does not hold a complete drawing \(.*No such file.*\); draw makes"
+    ):
         load(FORMAT, path)
     save(FORMAT, path)
     path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(DrawingError, match=r"holds no whole drawing \(.+\); draw makes drawings"):
+    with pytest.raises(DrawingError, match=r"does not hold a complete drawing \(.+\); draw makes drawings"):
         load(FORMAT, path)
 
 
 def test_a_missing_field_is_named(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     save(FORMAT, path)
-    with pytest.raises(DrawingError, match=r"holds no whole drawing \('y' is missing\)"):
+    with pytest.raises(DrawingError, match=r"does not hold a complete drawing \('y' is missing\)"):
         FORMAT.load_arrays(path, lambda arrays: arrays["y"])
 
 
@@ -98,7 +100,7 @@ def test_files_without_kind_and_version_are_of_version_1(tmp_path: Path) -> None
 def test_a_tensor_file_without_a_header_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.safetensors"
     save_file({"x": torch.arange(3)}, path)
-    with pytest.raises(DrawingError, match=r"holds no whole drawing \(it has no header\)"):
+    with pytest.raises(DrawingError, match=r"does not hold a complete drawing \(it has no header\)"):
         FORMAT.load_header(path)
 
 

@@ -141,7 +141,7 @@ def test_rooms_are_judged_from_their_files(tmp_path: Path) -> None:
         room.save(paths[-1])
     assert S3disScores.of(list(match_rooms(predict_ground_truth, paths))).mean_ap50 == 1.0
     paths[1].write_bytes(b"PK")
-    with pytest.raises(RoomError, match=r"office_1\.npz holds no whole room"):
+    with pytest.raises(RoomError, match=r"office_1\.npz does not hold a complete room"):
         list(match_rooms(predict_ground_truth, paths))
 
 

@@ -130,7 +130,7 @@ def test_a_cut_off_file_is_an_error(tmp_path: Path, kept: float) -> None:
     BoundaryScene(**facts()).save(path)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(kept * len(whole)) if isinstance(kept, float) else kept])
-    with pytest.raises(SceneError, match=rf"{re.escape(str(path))} holds no whole scene \("):
+    with pytest.raises(SceneError, match=rf"{re.escape(str(path))} does not hold a complete scene \("):
         BoundaryScene.load(path)
 
 
@@ -152,13 +152,15 @@ def test_a_flipped_bit_is_an_error_or_does_no_harm(tmp_path: Path) -> None:
 
 
 def test_a_missing_or_foreign_file_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"nowhere\.npz holds no whole scene .*No such file"):
+    with pytest.raises(SceneError, match=r"nowhere\.npz does not hold a complete scene .*No such file"):
         BoundaryScene.load(tmp_path / "nowhere.npz")
     np.savez(tmp_path / "other.npz", points=np.zeros(3))
-    with pytest.raises(SceneError, match=r"other\.npz holds no whole scene \('tangents' is missing\); generate_scenes"):
+    with pytest.raises(
+        SceneError, match=r"other\.npz does not hold a complete scene \('tangents' is missing\); generate_scenes"
+    ):
         BoundaryScene.load(tmp_path / "other.npz")
     (tmp_path / "text.npz").write_text("solid part")
-    with pytest.raises(SceneError, match=r"text\.npz holds no whole scene"):
+    with pytest.raises(SceneError, match=r"text\.npz does not hold a complete scene"):
         BoundaryScene.load(tmp_path / "text.npz")
 
 

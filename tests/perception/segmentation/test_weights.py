@@ -63,17 +63,17 @@ def test_half_the_bits_are_nearly_the_same_network(tmp_path: Path) -> None:
 
 def test_what_is_not_whole_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "tee.safetensors"
-    with pytest.raises(WeightsError, match=r"tee\.safetensors holds no whole segmentation network"):
+    with pytest.raises(WeightsError, match=r"tee\.safetensors does not hold a complete segmentation network"):
         load_network(path)
     save_network(path, NETWORKS[0], {})
     path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(WeightsError, match="holds no whole segmentation network"):
+    with pytest.raises(WeightsError, match="does not hold a complete segmentation network"):
         load_network(path)
     record = json.loads(path.with_suffix(".json").read_text())
     for change, text in (
         (
             {"network": record["network"] | {"hidden": 10}},
-            r"no whole segmentation network \(Error\(s\) in loading",
+            r"a complete segmentation network \(Error\(s\) in loading",
         ),
         ({"kind": "oracle"}, "its network must be one of grid, sgpn, got 'oracle'"),
         ({"version": 99}, "is a segmentation network of version 99, this code reads 1"),
@@ -82,7 +82,7 @@ def test_what_is_not_whole_is_refused(tmp_path: Path) -> None:
         with pytest.raises(WeightsError, match=text):
             load_network(path)
     save_file(NETWORKS[0].state_dict(), path)
-    with pytest.raises(WeightsError, match=r"holds no whole segmentation network \(it has no header\)"):
+    with pytest.raises(WeightsError, match=r"does not hold a complete segmentation network \(it has no header\)"):
         load_network(path)
 
 

@@ -66,7 +66,7 @@ def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
         (["--part", "screw", "--steps", "1"], "runs/scenes-screw-0 holds no scene_*.npz"),
         (
             ["--part", "nut", "--steps", "1", "--initial", "nowhere.safetensors"],
-            "nowhere.safetensors holds no whole",
+            "nowhere.safetensors does not hold a complete",
         ),
         (["--part", "nut", "--steps", "1", "--learning-rate", "-1"], "learning_rate must be positive, got -1.0"),
     ],

@@ -244,7 +244,7 @@ def test_a_record_with_an_unknown_word_is_refused(tmp_path: Path) -> None:
     values = json.loads(path.read_text())
     values["picks"][0]["outcome"] = "vanished"
     path.write_text(json.dumps(values))
-    with pytest.raises(RecordError, match=r"holds no whole bin record.*vanished"):
+    with pytest.raises(RecordError, match=r"does not hold a complete bin record.*vanished"):
         load_record(path)
 
 

@@ -99,13 +99,13 @@ def test_a_selector_survives_its_file(tmp_path: Path) -> None:
 
 def test_files_of_something_else_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.safetensors"
-    with pytest.raises(SelectorError, match="holds no whole selector"):
+    with pytest.raises(SelectorError, match="does not hold a complete selector"):
         load_selector_net(path)
     save_selector(path, SelectorNet(), {"network": {"features": ["x", "colour"]}})
     with pytest.raises(SelectorError, match="it was trained on features that do not exist: colour"):
         load_selector_net(path)
     save_selector(path, SelectorNet(), {"network": {"features": list(FEATURES), "hidden": 3}})
-    with pytest.raises(SelectorError, match=r"holds no whole selector \(Error\(s\) in loading state_dict"):
+    with pytest.raises(SelectorError, match=r"does not hold a complete selector \(Error\(s\) in loading state_dict"):
         load_selector_net(path)
     save_selector(path, SelectorNet(), {"version": 7})
     with pytest.raises(SelectorError, match="is a selector of version 7, this code reads 1"):

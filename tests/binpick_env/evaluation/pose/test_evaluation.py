@@ -246,7 +246,7 @@ def test_a_run_is_resumed_and_damaged_records_are_computed_again(
     kept = record_path(tmp_path, 0).stat().st_mtime_ns
     whole = record_path(tmp_path, 1).read_bytes()
     record_path(tmp_path, 1).write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(RecordError, match=r"scene_00001\.npz holds no whole pose record"):
+    with pytest.raises(RecordError, match=r"scene_00001\.npz does not hold a complete pose record"):
         load_pose_scores(tmp_path, 2, load_part("tee").model)
     with caplog.at_level(logging.WARNING):
         assert list(evaluate_poses(config(), 2, tmp_path)) == [0, 1]

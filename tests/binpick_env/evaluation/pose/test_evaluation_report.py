@@ -130,5 +130,5 @@ def test_the_report_shows_the_worst_scenes_first(tmp_path: Path, edges: EdgeAppe
     assert text.count("<svg") == 2
     assert "nan" not in text.split("<h2>Scenes")[0]
     record_path(tmp_path, 1).unlink()
-    with pytest.raises(RecordError, match=r"scene_00001\.npz holds no whole pose record"):
+    with pytest.raises(RecordError, match=r"scene_00001\.npz does not hold a complete pose record"):
         write_pose_report(page, summary, scores, tmp_path, edges, 2)

@@ -115,7 +115,7 @@ def test_a_run_is_resumed_and_damaged_records_are_computed_again(
     kept = record_path(tmp_path, 0).stat().st_mtime_ns
     whole = record_path(tmp_path, 1).read_bytes()
     record_path(tmp_path, 1).write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(RecordError, match=r"scene_00001\.npz holds no whole segmentation record"):
+    with pytest.raises(RecordError, match=r"scene_00001\.npz does not hold a complete segmentation record"):
         load_scores(tmp_path, 2)
     with caplog.at_level(logging.WARNING):
         assert sorted(evaluate_scenes(config, 2, tmp_path)) == [0, 1]
@@ -187,7 +187,7 @@ def test_an_invalid_evaluation_leaves_no_folder(tmp_path: Path, config: Evaluati
         with pytest.raises(error, match=text):
             next(evaluate_scenes(wrong, 1, out))
     (tmp_path / "none.safetensors").write_bytes(b"nothing")
-    with pytest.raises(WeightsError, match=r"none\.safetensors holds no whole segmentation network"):
+    with pytest.raises(WeightsError, match=r"none\.safetensors does not hold a complete segmentation network"):
         next(evaluate_scenes(replace(config, method=lost), 1, out))
     with pytest.raises(ValueError, match="count and workers must be at least 1, got 0 and 1"):
         next(evaluate_scenes(config, 0, out))

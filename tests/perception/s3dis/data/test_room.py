@@ -40,10 +40,10 @@ def test_a_damaged_file_is_no_room(tmp_path: Path, at: float) -> None:
     whole = path.read_bytes()
     k = int(len(whole) * at)
     path.write_bytes(whole[:k])
-    with pytest.raises(RoomError, match=r"room\.npz holds no whole room"):
+    with pytest.raises(RoomError, match=r"room\.npz does not hold a complete room"):
         Room.load(path)
     path.write_bytes(whole[:k] + bytes([whole[k] ^ 0xFF]) + whole[k + 1 :])
-    with pytest.raises(RoomError, match=r"room\.npz holds no whole room"):
+    with pytest.raises(RoomError, match=r"room\.npz does not hold a complete room"):
         Room.load(path)
 
 

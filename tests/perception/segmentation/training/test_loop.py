@@ -182,7 +182,7 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="does not fit the network of its own settings"):
         load_checkpoint(path, trainer(GRID))
     path.write_bytes(whole[:100])
-    with pytest.raises(CheckpointError, match="holds no whole checkpoint"):
+    with pytest.raises(CheckpointError, match="does not hold a complete checkpoint"):
         load_checkpoint(path, trainer(GRID))
 
 
