@@ -87,7 +87,7 @@ class _Pool:
     ends: NDArray[np.int64]
 
     def counts(self, weights: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return true positives (R, 1 + K), all positives (R, 1 + K) and truths (R,) for (R, S) weights of the scenes."""
+        """Return (R, 1 + K) true positives, (R, 1 + K) positives and (R,) truths for (R, S) weights of the scenes."""
         weight = weights[:, self.scene_idx]
         right = np.cumsum(weight * self.correct, axis=1)[:, self.ends]
         every = np.cumsum(weight, axis=1)[:, self.ends]
@@ -98,8 +98,8 @@ class _Pool:
 def average_precision(matches: Sequence[SceneMatches], overlaps: Sequence[float] = OVERLAPS) -> dict[int, Floats]:
     """Return the (O,) average precisions at ``overlaps`` by class, all scenes pooled.
 
-    As in ScanNet's benchmark, the value is NaN where no scene has an instance to find, and 0 where nothing is predicted.
-    It is 0 also where every prediction is ignored, a case in which the benchmark's script crashes.
+    As in ScanNet's benchmark, it is NaN where no scene has an instance to find, and 0 where nothing is predicted. It is
+    0 also where every prediction is ignored, a case in which the benchmark's script crashes.
 
     Raises:
         ValueError: A scene was not matched at one of ``overlaps``.
@@ -125,8 +125,8 @@ def ap_summary(matches: Sequence[SceneMatches]) -> ApSummary:
 def bootstrap_ap(matches: Sequence[SceneMatches], rng: np.random.Generator, resamples: int = 1000) -> ApIntervals:
     """Return percentile intervals of the average precisions, by a bootstrap over scenes.
 
-    Scenes are drawn rather than parts, because the parts of one bin fail together. Resamples without an instance to find
-    are left out.
+    Scenes are drawn rather than parts, because the parts of one bin fail together. Resamples without an instance to
+    find are left out.
 
     Args:
         matches: Verdicts on each scene.

@@ -49,7 +49,7 @@ def mssd(T_est: Floats, T_true: Floats, part: PartModel, *, steps: int = STEPS) 
 
     Note:
         For a solid of revolution the result exceeds the minimum over all angles by at most ``2 r sin(pi / (2 steps))``,
-        where r is the radius of the part about its axis: 0.9 % of r at 360 steps. BOP itself allows 1 % of the diameter.
+        where r is the radius of the part about its axis: 0.9 % of r at 360 steps. BOP allows 1 % of the diameter.
     """
     require_pose(T_est, T_true)
     offsets, est = _vertices(T_est, part)

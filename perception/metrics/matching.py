@@ -24,8 +24,8 @@ class SceneTruth:
     Attributes:
         instance_ids: (N,) int64 instance of each point, -1 for void (unlabelled, or of a class that is not scored).
         class_of_instance: (P,) int64 semantic class of each instance.
-        ignored: (P,) bool, whether an instance need not be found. Predictions on ignored instances are neither right nor
-            wrong. To score a band of visible fractions, ignore the parts outside it.
+        ignored: (P,) bool, whether an instance need not be found. Predictions on ignored instances are neither right
+            nor wrong. To score a band of visible fractions, ignore the parts outside it.
     """
 
     instance_ids: NDArray[np.int64]
@@ -86,11 +86,11 @@ def match_scene(
 ) -> SceneMatches:
     """Match predicted with true instances at each IoU threshold.
 
-    The rules are those of the ScanNet benchmark's instance evaluation (Dai et al., CVPR 2017). Within a class, each true
-    instance, in ascending id, takes the first free prediction, in the order given, whose IoU is strictly greater than
-    the overlap. Further such predictions are duplicates: the one of greatest confidence is right, the others are wrong.
-    A prediction without such a true instance is wrong, unless more than the overlap's share of its points lies on void
-    or on instances of its class that do not count. Predictions under ``min_region`` points are dropped.
+    The rules are those of the ScanNet benchmark's instance evaluation (Dai et al., CVPR 2017). Within a class, each
+    true instance, in ascending id, takes the first free prediction, in the order given, whose IoU is strictly greater
+    than the overlap. Further such predictions are duplicates: the one of greatest confidence is right, the others are
+    wrong. A prediction without such a true instance is wrong, unless more than the overlap's share of its points lies
+    on void or on instances of its class that do not count. Predictions under ``min_region`` points are dropped.
 
     Args:
         truth: True instances of the scene.

@@ -27,8 +27,8 @@ class PoseSpace:
     Attributes:
         centroid: (3,) centroid c of the surface in the part frame [m].
         bases: (S, 3, M) bases B_s [m]. For a finite group, ``B_s = G_s L`` with the square root L of the covariance of
-            the surface (M = 3, D = 12). For a solid of revolution about a, ``B_s = l G_s a``, where l squared is the sum
-            of the covariance along and across the axis (M = 1, D = 6).
+            the surface (M = 3, D = 12). For a solid of revolution about a, ``B_s = l G_s a``, where l squared is the
+            sum of the covariance along and across the axis (M = 1, D = 6).
     """
 
     centroid: Floats

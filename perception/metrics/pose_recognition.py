@@ -54,8 +54,8 @@ def judge_poses(distances: Floats, scores: Floats, to_find: NDArray[np.bool_], m
     """Judge the estimates of a scene.
 
     Each estimate belongs to its nearest instance, or to none if that is ``max_distance`` away or more. The best-scored
-    estimate of an instance (the first of equal scores) is right, or excused if the instance need not be found. All other
-    estimates are wrong: duplicates, and those that belong to no instance.
+    estimate of an instance (the first of equal scores) is right, or excused if the instance need not be found. All
+    other estimates are wrong: duplicates, and those that belong to no instance.
 
     Differs from Bregier's script in two ways. The script takes the nearest duplicate for the right one, which gives the
     same counts at every score. Between parts that lie closer than twice ``max_distance``, the script may assign an

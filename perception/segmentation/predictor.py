@@ -123,10 +123,8 @@ class SegmentationPredictor:
             raise ValueError(f"d_max must be positive and finite, got {d_max}")
         if len(boundary) == 0:
             return []
-        predicted = self.describe(boundary, surface, d_max)
-        groups = group_points(
-            predicted.embedding, predicted.confidence, boundary.points_cam, d_max, self.config.grouping
-        )
+        outputs = self.describe(boundary, surface, d_max)
+        groups = group_points(outputs.embedding, outputs.confidence, boundary.points_cam, d_max, self.config.grouping)
         return instances_of(groups.labels, groups.scores)
 
     def describe(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> PointPredictions:

@@ -68,7 +68,7 @@ class BoundaryScene:
             ValueError: The surface lies farther away than the 16 bits of the file can express.
 
         Note:
-            Points are stored as pixel and float32 depth, tangents and linearity in 8 bits, the surface in steps of 20 um.
+            Points are stored as pixel and float32 depth, tangents and linearity in 8 bits, the surface in 20 um steps.
         """
         b, s = self.boundary, self.surface
         if s.depth.max(initial=0.0) > FARTHEST:

@@ -1,6 +1,6 @@
-"""Compiled kernels of segmentation: arrays in, arrays out, no threads and no fast maths (same arrays, same bits).
+"""Compiled kernels of grouping: arrays in, arrays out, no threads and no fast maths (same arrays, same bits).
 
-Points come in canonical order, best confidence first, so that an index is also a rank.
+Points are sorted by descending confidence, so an index is also a rank.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ Ints = NDArray[np.int64]
 
 @njit(cache=True, nogil=True)
 def _similar(embedding: Singles, candidates: Ints, centre: Singles, square: float, out: Ints) -> int:
-    """Write to ``out`` the candidates whose squared distance to ``centre`` is under ``square``; return how many."""
+    """Write the candidates with a squared embedding distance under ``square`` to ``out``; return their number."""
     count = 0
     for i in candidates:
         total = np.float32(0.0)
@@ -30,7 +30,7 @@ def _similar(embedding: Singles, candidates: Ints, centre: Singles, square: floa
 
 @njit(cache=True, nogil=True)
 def _near(points: Floats, candidates: Ints, centre: Floats, square: float, out: Ints) -> int:
-    """Write to ``out`` the candidates with a squared 3-D distance of at most ``square``; return how many."""
+    """Write the candidates with a squared distance in space of at most ``square`` to ``out``; return their number."""
     count = 0
     for i in candidates:
         x, y, z = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
@@ -52,7 +52,7 @@ def _mean(embedding: Singles, members: Ints, out: Singles) -> None:
 
 @njit(cache=True, nogil=True)
 def _extend(low: Floats, high: Floats, point: Floats, directions: Floats, reach: float) -> bool:
-    """Widen the (K,) extents ``low`` to ``high`` to hold ``point``, unless one of them then exceeds ``reach``."""
+    """Widen the (K,) extents to contain ``point``; return False, changing nothing, if one would exceed ``reach``."""
     beyond = 0
     for k in range(len(low)):
         along = point[0] * directions[0, k] + point[1] * directions[1, k] + point[2] * directions[2, k]
@@ -68,9 +68,9 @@ def _extend(low: Floats, high: Floats, point: Floats, directions: Floats, reach:
 
 @njit(cache=True, nogil=True)
 def _trim(points: Floats, members: Ints, directions: Floats, reach: float) -> int:
-    """Move to the front of ``members`` those whose extents stay within ``reach``, and return how many they are.
+    """Move the members whose extents stay within ``reach`` to the front of ``members``; return their number.
 
-    If not all fit, they are taken outwards from their coordinates' median, each unless it would exceed the reach.
+    If not all fit, members are added in the order of their distance from the median, unless one exceeds the reach.
     """
     extents = directions.shape[1]
     low, high = np.full(extents, np.inf), np.full(extents, -np.inf)
@@ -81,6 +81,7 @@ def _trim(points: Floats, members: Ints, directions: Floats, reach: float) -> in
             break
     if whole:
         return len(members)
+    # Not all fit: add them again from the median outwards.
     offsets = points[members]
     for axis in range(3):
         offsets[:, axis] -= np.median(offsets[:, axis])
@@ -99,7 +100,11 @@ def _trim(points: Floats, members: Ints, directions: Floats, reach: float) -> in
 
 @njit(cache=True, nogil=True)
 def _propose(embedding: Singles, seed: int, candidates: Ints, square: float, refinements: int, members: Ints) -> int:
-    """Write to ``members`` the candidates similar to ``seed``, then to their own mean, and so on; return how many."""
+    """Write the candidates similar to ``seed``, then ``refinements`` times to their mean, to ``members``.
+
+    Returns:
+        Number of members.
+    """
     centre = embedding[seed].copy()
     size = _similar(embedding, candidates, centre, square, members)
     for _ in range(refinements):
@@ -121,18 +126,21 @@ def seed_groups(
     min_points: int,
     max_seeds: int,
 ) -> tuple[Ints, Singles]:
-    """Take one group after the other, each around the first point left; return (N,) labels and the (G, F) group means.
+    """Find one group after the other, each around the first unassigned point.
 
     Args:
-        embedding: (N, F).
-        points: (N, 3) [m].
-        seeds: That many points from the first may be seeds.
+        embedding: (N, F) embedding of the points.
+        points: (N, 3) points [m].
+        seeds: Number of leading points that may be seeds.
         square: Squared embedding distance under which points are similar.
-        reach: Of the distance mask [m]; infinite for none.
-        directions: (3, K) unit vectors along which a group's extent is bounded.
-        refinements: Times that a proposal is taken anew around its own mean.
-        min_points: A smaller proposal is no group, and none of its points is a seed again.
-        max_seeds: Tried at most.
+        reach: Largest extent of a group [m]; infinite for no bound.
+        directions: (3, K) unit vectors along which the extent of a group is bounded.
+        refinements: Number of times that a proposal is repeated around its mean.
+        min_points: Number of points of the smallest group. The points of a smaller proposal are never seeds again.
+        max_seeds: Largest number of seeds that are tried.
+
+    Returns:
+        (N,) group of each point, -1 for none, and the (G, F) mean embedding of each group.
     """
     count, width = embedding.shape
     labels = np.full(count, -1, np.int64)
@@ -148,6 +156,7 @@ def seed_groups(
             break
         tried += 1
         spent[seed] = True
+        # Propose the unassigned points in reach that are similar to the seed.
         candidates = rest[:left]
         if masked:
             candidates = near[: _near(points, candidates, points[seed], reach * reach, near)]
@@ -157,6 +166,7 @@ def seed_groups(
         if size < min_points:
             spent[members[:size]] = True
             continue
+        # Accept the group and take its points out of the rest.
         labels[members[:size]] = groups
         _mean(embedding, members[:size], means[groups])
         groups += 1
@@ -180,25 +190,27 @@ def assign_points(
     directions: Floats,
     leftovers: bool,
 ) -> Ints:
-    """Return the (N,) group with the nearest mean that has room for the point, -1 for none.
+    """Return the (N,) group of each point: the nearest mean whose group has room for the point, -1 for none.
 
-    A group has room while its extents, at first those of its core, stay within ``reach``. First come the points with
-    such a mean under ``square``, best confidence first, then, if ``leftovers``, the others with a mean at any distance.
+    A group has room while its extents, at first those of its core, stay within ``reach``. Points with a mean under
+    ``square`` are assigned first, by descending confidence. If ``leftovers``, the other points follow, with a mean at
+    any distance.
 
     Args:
-        embedding: (N, F).
-        points: (N, 3) [m].
-        core: (N,) labels the groups were found with, -1 for none.
-        means: (F, G) group means, a column each.
-        square: Squared embedding distance.
-        reach: [m]; infinite for no bound.
-        directions: (3, K) unit vectors.
-        leftovers: Whether points that are similar to no group get one.
+        embedding: (N, F) embedding of the points.
+        points: (N, 3) points [m].
+        core: (N,) group of each point as :func:`seed_groups` found it, -1 for none.
+        means: (F, G) mean embeddings, one group a column.
+        square: Squared embedding distance under which a point is similar to a mean.
+        reach: Largest extent of a group [m]; infinite for no bound.
+        directions: (3, K) unit vectors along which the extent of a group is bounded.
+        leftovers: Whether points that are similar to no group are assigned too.
     """
     count, width = embedding.shape
     groups, extents = means.shape[1], directions.shape[1]
     masked = reach < np.inf
     low, high = np.full((groups, extents), np.inf), np.full((groups, extents), -np.inf)
+    # Extents of the cores.
     for i in range(count):
         if masked and core[i] >= 0:
             _extend(low[core[i]], high[core[i]], points[i], directions, np.inf)
@@ -209,6 +221,7 @@ def assign_points(
         for i in range(count):
             if labels[i] >= 0:
                 continue
+            # Squared distance to every mean, then the nearest group with room.
             distances[:] = 0.0
             for f in range(width):
                 value = embedding[i, f]
@@ -249,17 +262,19 @@ def _touch(points: Floats, a: int, a_end: int, b: int, b_end: int, square: float
 
 @njit(cache=True, nogil=True)
 def linked_cells(points: Floats, keys: Ints, starts: Ints, strides: Ints, radius: float) -> Ints:
-    """Return the (C,) component of each grid cell; two cells are linked if points of theirs are within ``radius``.
+    """Return the (C,) component of each grid cell; cells are linked if two of their points are within ``radius``.
 
     Args:
-        points: (N, 3) sorted by cell; a cell is small enough for all its points to be within the radius.
-        keys: (C,) ascending, ``x * strides[0] + y * strides[1] + z`` of the cell; the strides leave room for +-2.
+        points: (N, 3) points [m], sorted by cell. All points of a cell are within the radius of each other.
+        keys: (C,) ascending keys ``x * strides[0] + y * strides[1] + z`` of the cells; the strides leave room for two
+            cells on each side.
         starts: (C + 1,) first point of each cell.
-        strides: (2,).
-        radius: [m].
+        strides: (2,) strides of x and y in a key.
+        radius: Largest distance between linked points [m].
     """
     cells = len(keys)
     parent = np.arange(cells)
+    # Union-find over the cells up to two away; half of the neighbourhood is enough, as links are mutual.
     for c in range(cells):
         for dx in range(3):
             for dy in range(-2 if dx > 0 else 0, 3):

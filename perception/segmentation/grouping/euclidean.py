@@ -1,4 +1,4 @@
-"""The floor under every network: points that lie close together are one part."""
+"""Euclidean clustering: points that lie close together are one part. The baseline of every network."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +13,19 @@ def euclidean_components(points: NDArray[np.floating], radius: float, min_points
     """Return the connected components of points linked when at most ``radius`` apart, largest first.
 
     Args:
-        points: (N, 3) [m], any frame.
-        radius: [m].
-        min_points: Smaller components are left out.
+        points: (N, 3) points in any frame [m].
+        radius: Largest distance between linked points [m].
+        min_points: Number of points of the smallest component that is returned.
 
     Returns:
-        Instances; the score is a component's size relative to the largest one's, there being no confidence.
+        Instances; the score is the size of a component relative to the largest one, as there is no confidence.
 
     Raises:
-        ValueError: A shape, a point that is not finite, radius <= 0 or a radius too small for the cloud's extent.
+        ValueError: Points are not (N, 3) and finite, or the radius is not positive or too small for the extent.
 
     Note:
-        Exact. O(N) memory whatever the radius: points are put into a grid whose cells are components of themselves,
-        and only pairs of points in cells not yet joined are looked at.
+        The result is exact, and memory is O(N) for any radius. Points are sorted into a grid whose cells are so small
+        that the points of a cell are linked. Only pairs of points in cells that are not linked yet are compared.
     """
     require_shape("points", points, (None, 3))
     require_finite("points", points)
@@ -44,7 +44,7 @@ def euclidean_components(points: NDArray[np.floating], radius: float, min_points
 
 def _components(points: NDArray[np.float64], radius: float) -> NDArray[np.int64]:
     """Return the (N,) component of each point, numbered in the order of their first points."""
-    # A cell's diagonal is a hair under the radius; a point's partners are then at most two cells away on each axis.
+    # The diagonal of a cell is just under the radius, so linked points are at most two cells apart on each axis.
     places = (points - points.min(axis=0)) / (radius * (1 - 1e-6) / np.sqrt(3))
     width, height, depth = (float(n) + 5 for n in np.floor(places.max(axis=0)))
     if not width * height * depth < 2**62:

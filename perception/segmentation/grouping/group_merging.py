@@ -1,4 +1,4 @@
-"""SGPN's GroupMerging: proposals merged in the order of the points, the paper's baseline."""
+"""SGPN's GroupMerging, the paper's baseline: proposals are merged in the order of the points."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -19,19 +19,20 @@ _ROWS = 256
 
 @dataclass(frozen=True, kw_only=True)
 class GroupMergingConfig:
-    """The constants of the released code, but for the threshold, which it takes from a faulty histogram.
+    """Constants of the released code. Its threshold comes from a faulty histogram, so ours differs.
 
     Attributes:
-        threshold: Embedding distance under which points are one proposal.
-        distance: ``l2``, or ``scaled_square`` for 10 times the square, which is the released code's.
-        min_confidence: A point must be more confident to propose.
-        min_proposal: A proposal must have more points.
-        iou: Two proposals that overlap by more are one.
-        share: So they are if the newer has more than this part of its points in the older.
-        min_points: A proposal is painted if it has more points, and kept if it is left with so many.
-        leftovers: Unassigned points take the mode of the groups of the points similar to them (the released code), of
-            their nearest labelled points in space, or stay alone.
-        neighbours: That many nearest points.
+        threshold: Embedding distance under which points belong to one proposal.
+        distance: ``l2``, or ``scaled_square`` for 10 times the square as in the released code.
+        min_confidence: Confidence above which a point makes a proposal.
+        min_proposal: Number of points above which a proposal counts.
+        iou: IoU above which two proposals are merged.
+        share: Share of the newer proposal's points in the older one above which the two are merged.
+        min_points: Number of points above which a proposal becomes a group, and from which on the group is kept after
+            later groups have overwritten points of it.
+        leftovers: Group of an unassigned point: the mode over the points similar to it as in the released code
+            (``similar``), the mode over its nearest labelled points in space (``nearest``), or none.
+        neighbours: Number of nearest points for ``nearest``.
     """
 
     threshold: float = 7.5
@@ -67,28 +68,30 @@ def merge_groups(
 ) -> Groups:
     """Group points as SGPN's released ``GroupMerging`` does, one class after the other.
 
-    Each confident point, in index order, proposes the points of its class whose row of the similarity matrix S is
-    under the threshold. A proposal that is one with older ones replaces those smaller than itself, any other is added;
-    a class without proposals is one. They are painted in order, later ones over earlier ones. Differs in the
-    threshold and in the optional distance mask; and S is computed in blocks of rows.
+    Each confident point, in index order, proposes the points of its class whose entry in its row of the similarity
+    matrix S is under the threshold. A proposal that overlaps older ones replaces those smaller than itself; any other
+    proposal is added. A class without proposals is one proposal. Proposals become groups in order, and later ones
+    overwrite earlier ones. Differs from the released code in the threshold and in the optional distance mask, and
+    computes S in blocks of rows.
 
     Args:
-        embedding: (N, F).
-        confidence: (N,) in [0, 1].
-        points: (N, 3) [m], any frame.
-        config: The constants.
-        d_max: The distance mask: entries of S between points farther apart are out [m]; None for no mask.
-        classes: (N,) semantic class, -1 for points to leave out; None for one class.
+        embedding: (N, F) embedding of the points.
+        confidence: (N,) confidence of the points in [0, 1].
+        points: (N, 3) points in any frame [m].
+        config: Constants of the method.
+        d_max: Distance mask: points farther apart are never similar [m]; None for no mask.
+        classes: (N,) semantic class of each point, -1 for points to leave out; None for one class.
 
     Returns:
-        Groups; the scores are the mean confidence of their points. A point without neighbours in a group stays -1.
+        Groups, scored by the mean confidence of their points. A point without neighbours in a group stays -1.
 
     Raises:
-        ValueError: A shape, a value that is not finite, a confidence outside [0, 1] or d_max <= 0.
+        ValueError: Shapes do not agree, a value is not finite, a confidence is outside [0, 1] or ``d_max`` is not
+            positive.
 
     Note:
-        The result depends on the order of the points: by nature, not by mistake. Meant for N up to 4096; time is
-        O(N^2 (F + proposals)), memory N^2 bytes at worst.
+        The method depends on the order of the points. It is meant for N up to 4096: time is O(N^2 (F + proposals)),
+        memory at most N^2 bytes.
     """
     embedding, confidence, points = require_points(embedding, confidence, points, np.inf if d_max is None else d_max)
     if classes is None:
@@ -96,13 +99,13 @@ def merge_groups(
     require_shape("classes", classes, (len(points),))
     similarity = _Similarity(embedding, points, squared_threshold(config.threshold, config.distance), d_max)
     labels = np.full(len(points), -1, np.int64)
-    painted = 0
+    groups = 0
     for kind in np.unique(classes[classes >= 0]):
         for proposal in _proposals(similarity, confidence, classes == kind, config):
             if np.count_nonzero(proposal) > config.min_points:
-                labels[proposal] = painted
-                painted += 1
-    counts = np.bincount(labels[labels >= 0], minlength=painted)
+                labels[proposal] = groups
+                groups += 1
+    counts = np.bincount(labels[labels >= 0], minlength=groups)
     kept = counts >= config.min_points
     labels = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[labels]
     alone = np.flatnonzero((labels < 0) & (classes >= 0))
@@ -115,7 +118,7 @@ def merge_groups(
 
 @dataclass(frozen=True, eq=False)
 class _Similarity:
-    """The similarity matrix under its threshold, row by row."""
+    """The thresholded similarity matrix, computed row by row."""
 
     embedding: NDArray[np.float32]
     points: Floats
@@ -123,7 +126,7 @@ class _Similarity:
     d_max: float | None
 
     def rows(self, indices: Ints) -> Mask:
-        """Return the (R, N) points that are in one proposal with each of (R,) ``indices``."""
+        """Return the (R, N) mask of the points similar to each of (R,) ``indices``."""
         similar: Mask = cdist(self.embedding[indices], self.embedding, "sqeuclidean") < self.square
         if self.d_max is not None:
             similar &= cdist(self.points[indices], self.points) <= self.d_max
@@ -131,7 +134,7 @@ class _Similarity:
 
 
 def _proposals(similarity: _Similarity, confidence: Floats, members: Mask, config: GroupMergingConfig) -> Mask:
-    """Return the (G, N) merged proposals of the class of (N,) ``members``."""
+    """Return the (G, N) merged proposals of a class, whose points are the (N,) mask ``members``."""
     seeds = np.flatnonzero(members & (confidence > config.min_confidence))
     proposals = np.zeros((len(seeds) + 1, len(members)), np.bool_)
     count = 0
@@ -159,7 +162,7 @@ def _merge(proposals: Mask, count: int, proposal: Mask, config: GroupMergingConf
 
 
 def _join_similar(labels: Ints, alone: Ints, similarity: _Similarity) -> None:
-    """Label each of ``alone``, in order and in place, by the mode of the labels of the points similar to it."""
+    """Label the points ``alone`` one after the other, in place, by the mode over the points similar to each."""
     for start in range(0, len(alone), _ROWS):
         block = alone[start : start + _ROWS]
         for i, similar in zip(block, similarity.rows(block), strict=True):
@@ -167,7 +170,7 @@ def _join_similar(labels: Ints, alone: Ints, similarity: _Similarity) -> None:
 
 
 def _join_nearest(labels: Ints, alone: Ints, points: Floats, neighbours: int, d_max: float | None) -> None:
-    """Label ``alone`` in place by the mode of their nearest labelled points, of those within d_max."""
+    """Label the points ``alone`` in place by the mode over their nearest labelled points within ``d_max``."""
     labelled = np.flatnonzero(labels >= 0)
     reach = np.inf if d_max is None else np.nextafter(d_max, np.inf)
     _, nearest = cKDTree(points[labelled]).query(
@@ -178,6 +181,6 @@ def _join_nearest(labels: Ints, alone: Ints, points: Floats, neighbours: int, d_
 
 
 def _mode(labels: Ints) -> int:
-    """Return the most frequent label that is not -1, the smallest of several, or -1 if there is none."""
+    """Return the most frequent label that is not -1 (the smallest of equally frequent ones), or -1 if there is none."""
     given = labels[labels >= 0]
     return int(np.bincount(given).argmax()) if len(given) else -1

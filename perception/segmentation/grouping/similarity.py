@@ -1,4 +1,4 @@
-"""Points to groups by their embedding: the same groups in whatever order the points come, without an N x N matrix."""
+"""Grouping of points by their embedding, independent of their order and without an N x N matrix."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -13,25 +13,25 @@ from perception.segmentation.networks.distance import Distance, squared_threshol
 
 Ints = NDArray[np.int64]
 
-_DIRECTIONS = 96
-# A pair's direction is within acos(1 / 1.024) of one of the directions, so its distance is at most that much longer.
+_DIRECTIONS = 96  # directions along which the extent of a group is bounded
+# Every direction is within acos(1 / 1.024) of one of them, so a distance exceeds the extent by at most 2.4 %.
 EXTENT_TOLERANCE = 0.024
 
 
 @dataclass(frozen=True, kw_only=True)
 class GroupingConfig:
-    """How alike the points of one part are.
+    """Settings of the grouping.
 
     Attributes:
-        threshold: Embedding distance under which points are one group; between the margins M1 and M2 of training.
-        distance: ``l2``, or ``scaled_square`` for 10 times the square, as SGPN's code has it.
+        threshold: Embedding distance under which points are similar; between the margins M1 and M2 of training.
+        distance: ``l2``, or ``scaled_square`` for 10 times the square as in SGPN's code.
         d_max: Whether the distance mask is on (section III.C of the paper).
-        slack: Part of d_max by which the mask reaches farther, for measured points (noise adds up to 0.012).
-        min_points: A smaller group is none.
-        min_confidence: A less confident point starts no group.
-        refinements: Times that a proposal is taken anew around its own mean.
-        leftovers: Whether a point that is similar to no group goes to the nearest mean nonetheless or to none.
-        max_seeds: Proposals tried at most; bounds the time that an untrained embedding takes.
+        slack: Share of ``d_max`` added to the reach of the mask, for measured points (noise adds up to 0.012).
+        min_points: Number of points of the smallest group.
+        min_confidence: Confidence from which on a point may start a group.
+        refinements: Number of times that a proposal is repeated around its mean.
+        leftovers: Group of a point that is similar to no group: the one with the nearest mean, or none.
+        max_seeds: Largest number of proposals, which bounds the time that an untrained embedding takes.
     """
 
     threshold: float = 9.0
@@ -59,11 +59,11 @@ class GroupingConfig:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Groups:
-    """A partition of the points, some left out.
+    """A partition of the points; a point may have no group.
 
     Attributes:
         labels: (N,) int64 group of each point, -1 for none.
-        scores: (G,) float64 in [0, 1] mean confidence of each group's points.
+        scores: (G,) float64 mean confidence of the points of each group, in [0, 1].
     """
 
     labels: Ints
@@ -71,7 +71,7 @@ class Groups:
 
 
 def half_sphere(count: int) -> Floats:
-    """Return (3, count) unit vectors spread over half the sphere (Fibonacci lattice)."""
+    """Return (3, count) unit vectors spread evenly over a half sphere (Fibonacci lattice)."""
     k = np.arange(count)
     z, turn = (k + 0.5) / count, k * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z * z)
@@ -87,37 +87,38 @@ def group_points(
 ) -> Groups:
     """Group all points of a scene by embedding distance, best confidence first.
 
-    Replaces SGPN's GroupMerging (:mod:`perception.segmentation.grouping.group_merging`), whose result depends on the
-    points' order, and extends the distance mask of section III.C of the paper: it holds for every pair of a group.
+    It replaces SGPN's GroupMerging (:mod:`perception.segmentation.grouping.group_merging`), which depends on the order
+    of the points. It also extends the distance mask of section III.C of the paper to every pair of points of a group.
 
-    1. The most confident point left is a seed. Its proposal, the points left within the threshold of it and d_max of
-       it, is taken anew ``refinements`` times around its mean embedding, then trimmed to extents of d_max in 96
-       directions (outwards from its median), and removed; with fewer than ``min_points`` it is no group, and its
-       points are seeds no more.
-    2. Every point, best confidence first, goes to the nearest mean within the threshold among the groups that stay
-       within these extents with it.
-    3. The points left over do the same without a threshold, or stay alone. Groups that are then smaller than
-       ``min_points`` are dissolved, and 2 and 3 are done again.
+    1. The most confident unassigned point is a seed. It proposes the unassigned points within the threshold and within
+       ``d_max`` of it. The proposal is repeated ``refinements`` times around its mean embedding, then trimmed, from
+       its median outwards, to extents of ``d_max`` in 96 directions. A proposal of at least ``min_points`` points is a
+       group. The points of a smaller one are never seeds again.
+    2. Every point, by descending confidence, is assigned to the nearest mean within the threshold whose group keeps
+       these extents.
+    3. The other points are assigned likewise without a threshold, or stay without a group. Groups that are now smaller
+       than ``min_points`` are dissolved, and steps 2 and 3 are repeated.
 
-    The embedding may be votes as well (point plus offset to its part's centre, alone or beside other dimensions).
+    The embedding may contain votes: a point plus its offset to the centre of its part.
 
     Args:
-        embedding: (N, F), computed with as float32.
-        confidence: (N,) in [0, 1].
-        points: (N, 3) [m], any frame.
-        d_max: The part's largest extent [m]; infinite for none.
-        config: How alike.
+        embedding: (N, F) embedding of the points; the computation is in float32.
+        confidence: (N,) confidence of the points in [0, 1].
+        points: (N, 3) points in any frame [m].
+        d_max: Largest extent of the part [m]; infinite for no bound.
+        config: Settings of the grouping.
 
     Returns:
-        Groups in the order of their seeds. No two points of one are farther apart than
-        ``d_max * (1 + slack) * (1 + EXTENT_TOLERANCE)``. Points that no group has room for stay -1.
+        Groups in the order of their seeds. No two points of a group are farther apart than
+        ``d_max * (1 + slack) * (1 + EXTENT_TOLERANCE)``. Points that fit into no group have label -1.
 
     Raises:
-        ValueError: A shape, a value that is not finite, a confidence outside [0, 1] or d_max <= 0.
+        ValueError: Shapes do not agree, a value is not finite, a confidence is outside [0, 1] or ``d_max`` is not
+            positive.
 
     Note:
-        O(N * groups) time, O(N * F) memory. Deterministic and independent of the points' order, to the bit: they are
-        first sorted by confidence, coordinates and embedding, so equal ones are interchangeable.
+        Time is O(N * groups), memory O(N * F). The result is deterministic and independent of the order of the points,
+        to the bit: they are first sorted by confidence, coordinates and embedding, so equal ones are interchangeable.
     """
     embedding, confidence, points = require_points(embedding, confidence, points, d_max)
     square = squared_threshold(config.threshold, config.distance)
@@ -153,7 +154,12 @@ def group_points(
 def require_points(
     embedding: NDArray[np.floating], confidence: NDArray[np.floating], points: NDArray[np.floating], d_max: float
 ) -> tuple[NDArray[np.float32], Floats, Floats]:
-    """Return embedding, confidence and points as contiguous float32, float64, float64, or raise ``ValueError``."""
+    """Return embedding, confidence and points as contiguous float32, float64 and float64.
+
+    Raises:
+        ValueError: Shapes do not agree, a value is not finite, a confidence is outside [0, 1] or ``d_max`` is not
+            positive.
+    """
     require_shape("points", points, (None, 3))
     count = len(points)
     require_shape("embedding", embedding, (count, None))
@@ -174,7 +180,7 @@ def require_points(
 
 
 def require_finite(name: str, array: NDArray[np.floating]) -> None:
-    """Raise ``ValueError`` naming the first point of (N, ...) ``array`` that is not finite."""
+    """Raise a ``ValueError`` that names the first point of an (N, ...) array that is not finite."""
     finite = np.isfinite(array)
     if not finite.all():
         bad = int(np.nonzero(~finite)[0][0])
@@ -182,7 +188,7 @@ def require_finite(name: str, array: NDArray[np.floating]) -> None:
 
 
 def mean_scores(labels: Ints, confidence: Floats, groups: int) -> Floats:
-    """Return the (groups,) mean confidence of the points that (N,) ``labels`` gives to each; none may be empty."""
+    """Return the (groups,) mean confidence of the points of each group; no group may be empty."""
     labelled = labels >= 0
     counts = np.bincount(labels[labelled], minlength=groups)
     sums = np.bincount(labels[labelled], weights=confidence[labelled], minlength=groups)
@@ -192,19 +198,20 @@ def mean_scores(labels: Ints, confidence: Floats, groups: int) -> Floats:
 def propagate_labels(
     points: NDArray[np.floating], subset_idx: Ints, subset_labels: Ints, max_distance: float = np.inf
 ) -> Ints:
-    """Give every point the label of the nearest point of a subset, for a network that has seen the subset only.
+    """Return labels for all points of a cloud, each that of the nearest point of a labelled subset.
 
     Args:
-        points: (N, 3) [m].
+        points: (N, 3) points [m].
         subset_idx: (M,) indices of the labelled points.
-        subset_labels: (M,) their labels; -1, for none, is passed on like any other.
-        max_distance: A point farther than this from all labelled ones gets -1 [m].
+        subset_labels: (M,) labels of the subset; -1, for none, is propagated like any other label.
+        max_distance: Distance to the nearest labelled point above which a point gets -1 [m].
 
     Returns:
-        (N,) int64; labelled points keep theirs, and all are -1 if the subset is empty.
+        (N,) int64 labels. Labelled points keep theirs, and all are -1 if the subset is empty.
 
     Raises:
-        ValueError: A shape, an index out of range, a point that is not finite or ``max_distance`` under 0.
+        ValueError: Shapes do not agree, an index is out of range, a point is not finite or ``max_distance`` is
+            negative.
     """
     require_shape("points", points, (None, 3))
     require_shape("subset_idx", subset_idx, (None,))
@@ -225,7 +232,7 @@ def propagate_labels(
 
 
 def _canonical_order(confidence: Floats, points: Floats, embedding: NDArray[np.float32]) -> Ints:
-    """Return the (N,) indices that sort by falling confidence, then by coordinates, then by embedding."""
+    """Return the (N,) indices that sort by descending confidence, then by coordinates, then by embedding."""
     order = np.argsort(-confidence, kind="stable")
     keys: tuple[NDArray[np.floating], ...] = (-confidence,)
     for further in (tuple(points.T), tuple(embedding.T)):
