@@ -1,4 +1,4 @@
-"""Pose candidates: what perception offers, and the padded arrays in which the environment observes them."""
+"""Pose candidates, and the padded arrays in which the environment observes them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,32 +9,32 @@ from numpy.typing import NDArray
 from perception.frame import Workspace
 from perception.geometry import Floats, invert_transform, rotation_6d
 
-MAX_CANDIDATES = 32  # K; standard bins hold at most 30 parts
+MAX_CANDIDATES = 32  # K, the number of rows of an observation; standard bins hold at most 30 parts
 FEATURES = (
     "x",
     "y",
     "z",  # centre in the bin frame [m]
     *(f"rotation_{i}" for i in range(6)),  # first two columns of R_bin_part
     "score",  # the perceiver's confidence in [0, 1]
-    "visible_fraction",
-    "height",  # of the highest surface point above the bin's floor [m]
-    "wall_distance",  # of the centre to the nearest wall [m]
+    "visible_fraction",  # estimated share of the part's silhouette that is seen
+    "height",  # height of the highest surface point above the bin's floor [m]
+    "wall_distance",  # distance of the centre to the nearest wall [m]
     "fill",  # visible boundary points over P; the visible fraction where no boundary is extracted
 )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PoseCandidate:
-    """One seen part.
+    """One recognised part.
 
     Attributes:
         T_world_part: (4, 4) estimated pose of the part frame.
-        centre_world: (3,) the part's centre [m].
+        centre_world: (3,) estimated position of the part's centre [m].
         score: Confidence in [0, 1].
         visible_fraction: Estimated share of the part's silhouette that is seen.
-        top: Highest surface point above the bin's floor [m].
+        top: Height of the highest surface point above the bin's floor [m].
         fill: Number of visible boundary points over P.
-        part: True index, for judging and reports only; -1 where unknown.
+        part: True index of the part, for evaluation and reports only; -1 where unknown.
     """
 
     T_world_part: Floats

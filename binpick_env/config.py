@@ -8,7 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     from perception.frame import Workspace
 
-CONTROL_PERIOD = 0.04  # of the environment [s]
+CONTROL_PERIOD = 0.04  # time between two actions of the environment [s]
 Backend = Literal["rays", "egl", "raster"]
 SensorPreset = Literal["none", "good", "harsh"]
 SensorChoice = SensorPreset | Literal["mixed"]  # mixed: a preset drawn for each scene
@@ -49,8 +49,8 @@ class BinConfig:
 class TrayConfig:
     """The drop tray beside the bin."""
 
-    inner_size: tuple[float, float, float] = (0.24, 0.24, 0.06)  # [m]
-    wall: float = 0.01  # [m]
+    inner_size: tuple[float, float, float] = (0.24, 0.24, 0.06)  # length, width, height inside [m]
+    wall: float = 0.01  # thickness of walls and floor [m]
     position: tuple[float, float] = (0.42, -0.42)  # centre in the world's x and y [m]
 
     def __post_init__(self) -> None:
@@ -60,14 +60,14 @@ class TrayConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraConfig:
-    """The overhead depth camera; its optical axis goes straight down through the bin's centre."""
+    """The overhead depth camera. Its optical axis points straight down through the bin's centre."""
 
-    width: int = 1280  # [px]
-    height: int = 960  # [px]
-    focal: float = 2400.0  # [px] at 1280 wide; scaled with `width`
-    distance: float = 0.9  # from the bin's floor [m]
-    hand_eye: float = 0.0  # shift of the reported place, standard deviation an axis [m]; drawn anew for every bin
-    backend: Backend = "raster"  # the same picture as "rays", mj_multiRay's reference, ten times faster; "egl" needs GL
+    width: int = 1280  # width of the image [px]
+    height: int = 960  # height of the image [px]
+    focal: float = 2400.0  # focal length of an image 1280 px wide [px]; scaled with `width`
+    distance: float = 0.9  # distance from the bin's floor [m]
+    hand_eye: float = 0.0  # standard deviation per axis of the reported position's error [m]; drawn for each bin
+    backend: Backend = "raster"  # same image as "rays" (MuJoCo's mj_multiRay), ten times faster; "egl" needs GL
 
     def __post_init__(self) -> None:
         size = f"{self.width} x {self.height}"
@@ -86,12 +86,12 @@ class CameraConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotConfig:
-    """The arm's place and the limits that targets are held to."""
+    """Mounting of the arm, limits of its motion, and the gripper."""
 
-    pedestal_height: float = 0.15  # of the arm's base above the table [m]
-    max_velocity: float = np.pi  # of every joint [rad/s]: the UR5e's data sheet, 180 deg/s
-    max_acceleration: float = 8.0  # of every joint [rad/s^2]; the drives' torque limits allow more near the base
-    gripper_time: float = 0.57  # for the jaw's whole stroke [s]: the 2F-85's data sheet, 150 mm/s
+    pedestal_height: float = 0.15  # height of the arm's base above the table [m]
+    max_velocity: float = np.pi  # largest velocity of a joint [rad/s]: the UR5e's data sheet, 180 deg/s
+    max_acceleration: float = 8.0  # largest acceleration of a joint [rad/s^2]; torques would allow more near the base
+    gripper_time: float = 0.57  # time that the jaw takes for its whole stroke [s]: the 2F-85's data sheet, 150 mm/s
     jaw: float | None = None  # largest opening of the jaw [m]; None for the gripper's own stroke of 0.085 m
 
     def __post_init__(self) -> None:
@@ -105,11 +105,11 @@ class RobotConfig:
 class ContactConfig:
     """Contact and damping of parts, bin and tray: the settings under which a pile comes to rest and sleeps."""
 
-    condim: int = 6  # sliding, torsional and rolling friction
-    friction: tuple[float, float, float] = (0.5, 0.005, 0.0002)
-    solref: tuple[float, float] = (0.01, 1.0)  # time constant [s], damping ratio
-    solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)  # MuJoCo's default
-    joint_damping: float = 1e-4  # of the free joints [N s/m and N m s]
+    condim: int = 6  # MuJoCo's dimension of contacts: 6 has sliding, torsional and rolling friction
+    friction: tuple[float, float, float] = (0.5, 0.005, 0.0002)  # coefficients: sliding [-], torsional [m], rolling [m]
+    solref: tuple[float, float] = (0.01, 1.0)  # time constant [s] and damping ratio of contacts
+    solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)  # impedance; MuJoCo's default
+    joint_damping: float = 1e-4  # damping of the parts' free joints [N s/m and N m s]
     sleep_tolerance: float = 1e-2  # velocity below which an island of parts falls asleep [m/s, length-weighted rad/s]
 
     def __post_init__(self) -> None:
@@ -128,7 +128,7 @@ class CellConfig:
     tray: TrayConfig = field(default_factory=TrayConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)
-    timestep: float = 0.002  # of the physics [s]; a whole number of steps makes a control period
+    timestep: float = 0.002  # time step of the physics [s]; the control period is a whole number of steps
 
     def __post_init__(self) -> None:
         steps = CONTROL_PERIOD / self.timestep if self.timestep > 0 else 0.0

@@ -1,7 +1,7 @@
-"""Compiled kernels over a depth image: shading it grey, and what a structured-light sensor does not measure.
+"""Compiled kernels over a depth image: shading, and the losses and noise of a structured-light sensor.
 
-Camera frame, metres; ``depth`` is (H, W) with 0 for nothing, ``normals`` (H, W, 3) float32 are unit, towards the eye.
-No kernel uses fast maths or threads: same arrays, same bits.
+Everything is in the camera frame, in metres. ``depth`` is (H, W) float32, 0 where there is nothing. ``normals`` is
+(H, W, 3) float32, unit vectors towards the eye. No kernel uses fast maths or threads: same arrays, same bits.
 """
 
 import numpy as np
@@ -15,11 +15,11 @@ Bytes = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
 
 
-DIRECTIONS = ((0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1))  # (dv, du), all around
+DIRECTIONS = ((0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1))  # the eight sweeps' (dv, du)
 
 
 @njit(cache=True, nogil=True)
-def _darkness(
+def _occlusion(
     depth: Singles,
     normals: Singles,
     K: Floats,
@@ -31,7 +31,10 @@ def _darkness(
     floor: float,
     full: float,
 ) -> float:
-    """Return in [0, 1] how much the surface at a source pixel darkens (v, u): by its height, fading with distance."""
+    """Return the occlusion in [0, 1] of pixel (v, u) by the surface at a source pixel.
+
+    It grows with the height of the source above the pixel's tangent plane, and fades with their distance in the image.
+    """
     dv, du = np.float64(source_v - v), np.float64(source_u - u)
     distance = np.sqrt(dv * dv + du * du)
     if distance >= reach:
@@ -53,11 +56,15 @@ def _sweep(
     radius: float,
     floor: float,
     full: float,
-    hidden: Singles,
+    occluded: Singles,
 ) -> None:
-    """Carry edges along (dv, du) over the image; adds an eighth of their darkness to ``hidden`` in place."""
+    """Sweep along (dv, du) over the image and add an eighth of the occlusion found to ``occluded`` in place.
+
+    Each pixel inherits the occluding pixel of the one before it, and replaces it by that neighbour where it is nearer
+    and occludes more.
+    """
     height, width = depth.shape
-    # The pixel that each column's latest pixel is darkened by, -1 for none: of the row before, and of this row.
+    # Occluding pixel of each column, -1 for none, in the row before and in this row.
     before_v, before_u = np.full(width, -1, np.int32), np.full(width, -1, np.int32)
     now_v, now_u = np.full(width, -1, np.int32), np.full(width, -1, np.int32)
     for i in range(height):
@@ -71,22 +78,24 @@ def _sweep(
             pu = u - du
             if pu < 0 or pu >= width:
                 continue
+            # Candidates: the neighbour itself if it stands higher, and the pixel that occludes the neighbour.
             z = depth[v, u]
             beside = 0.0 < depth[pv, pu] < z - floor
             source_v, source_u = (now_v[pu], now_u[pu]) if dv == 0 else (before_v[pu], before_u[pu])
             if z <= 0.0 or not (beside or source_v >= 0):
                 continue
+            # The one that occludes more is kept, and handed on to the next pixel.
             reach = radius * K[0, 0] / z
             best = 0.0
             if source_v >= 0:
-                best = _darkness(depth, normals, K, v, u, source_v, source_u, reach, floor, full)
+                best = _occlusion(depth, normals, K, v, u, source_v, source_u, reach, floor, full)
             if beside:
-                other = _darkness(depth, normals, K, v, u, pv, pu, reach, floor, full)
+                other = _occlusion(depth, normals, K, v, u, pv, pu, reach, floor, full)
                 if other > best:
                     best, source_v, source_u = other, pv, pu
             if best > 0.0:
                 now_v[u], now_u[u] = source_v, source_u
-                hidden[v, u] += 0.125 * best
+                occluded[v, u] += 0.125 * best
         if dv != 0:
             before_v, now_v = now_v, before_v
             before_u, now_u = now_u, before_u
@@ -94,22 +103,22 @@ def _sweep(
 
 @njit(cache=True, nogil=True)
 def ambient_occlusion(depth: Singles, normals: Singles, K: Floats, radius: float, floor: float, full: float) -> Singles:
-    """Return (H, W) float32 in [0, 1]: the mean darkness that eight sweeps over the image cast on each pixel.
+    """Return the (H, W) float32 ambient occlusion in [0, 1]: the mean over eight sweeps in different directions.
 
-    A sweep carries along the last edge it fell over; what lies below is dark beside the edge and fades over ``radius``.
+    Each sweep carries the last depth edge along. Pixels below the edge are occluded, less with distance from it.
 
     Args:
-        depth: (H, W) float32.
-        normals: (H, W, 3) float32.
-        K: (3, 3).
-        radius: Reach of the darkness [m].
-        floor: Height above the tangent plane that does not count yet [m]; keeps facets out.
-        full: Height above ``floor`` that counts in full [m].
+        depth: (H, W) float32 depth [m].
+        normals: (H, W, 3) float32 unit normals.
+        K: (3, 3) pinhole matrix [px].
+        radius: Distance over which the occlusion by an edge fades to nothing [m].
+        floor: Height above the tangent plane up to which nothing is occluded [m]; leaves out facets.
+        full: Height above ``floor`` from which occlusion is complete [m].
     """
-    hidden = np.zeros(depth.shape, np.float32)
+    occluded = np.zeros(depth.shape, np.float32)
     for direction in DIRECTIONS:
-        _sweep(depth, normals, K, direction[0], direction[1], radius, floor, full, hidden)
-    return hidden
+        _sweep(depth, normals, K, direction[0], direction[1], radius, floor, full, occluded)
+    return occluded
 
 
 @njit(cache=True, nogil=True)
@@ -117,7 +126,7 @@ def shade(
     depth: Singles,
     normals: Singles,
     albedo: Singles,
-    hidden: Singles,
+    occluded: Singles,
     to_light: Floats,
     ambient: float,
     diffuse: float,
@@ -129,17 +138,17 @@ def shade(
     """Return the (H, W) uint8 image of a Lambertian scene; see ``shading.Light`` for the model.
 
     Args:
-        depth: (H, W) float32.
-        normals: (H, W, 3) float32.
-        albedo: (H, W) float32 in [0, 1].
-        hidden: (H, W) float32 in [0, 1].
-        to_light: (3,) unit.
-        ambient: Share of light from everywhere.
-        diffuse: Share of light from ``to_light``.
-        falloff: 0 for none, 1 for the inverse square of depth.
-        reference: Depth at which the falloff is 1 [m].
-        occlusion: How much darker a fully hidden point is, 0 to 1.
-        background: Grey where there is no depth.
+        depth: (H, W) float32 depth [m].
+        normals: (H, W, 3) float32 unit normals.
+        albedo: (H, W) float32 albedo in [0, 1].
+        occluded: (H, W) float32 ambient occlusion in [0, 1].
+        to_light: (3,) unit vector to the lamp.
+        ambient: Intensity of the light from everywhere.
+        diffuse: Intensity of the light from the lamp.
+        falloff: Decrease of intensity with depth: 0 for none, 1 for the inverse square.
+        reference: Depth at which the falloff leaves the intensity as it is [m].
+        occlusion: Share of light that a fully occluded point loses, 0 to 1.
+        background: Grey value where there is no depth.
     """
     height, width = depth.shape
     grey = np.empty((height, width), np.uint8)
@@ -149,9 +158,10 @@ def shade(
             if z <= 0.0:
                 grey[v, u] = background
                 continue
+            # Lambert's cosine, less ambient occlusion, times the falloff with depth; rounded to 8 bits.
             n = normals[v, u]
             facing = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
-            light = (ambient + diffuse * max(facing, 0.0)) * (1.0 - occlusion * hidden[v, u])
+            light = (ambient + diffuse * max(facing, 0.0)) * (1.0 - occlusion * occluded[v, u])
             light *= 1.0 + falloff * ((reference / z) * (reference / z) - 1.0)
             grey[v, u] = np.uint8(min(max(255.0 * albedo[v, u] * light + 0.5, 0.0), 255.0))
     return grey
@@ -162,8 +172,8 @@ def projector_shadow(depth: Singles, K: Floats, baseline: float) -> Bools:
     """Return the (H, W) bool mask of pixels that a projector at camera x = ``baseline`` [m] does not reach.
 
     Camera and projector are a rectified pair, so light travels along image rows: pixel u is lit from projector column
-    ``u - fx * baseline / z``. Going away from the projector, the columns of lit surfaces only move on; a surface whose
-    column has been passed lies behind something. Bodies are assumed to reach down to what they stand on.
+    ``u - fx * baseline / z``. Away from the projector, the columns of lit surfaces only increase along a row: a
+    surface whose column has been passed lies behind another. Bodies are assumed to reach down to what they stand on.
     """
     height, width = depth.shape
     shadow = np.zeros((height, width), np.bool_)
@@ -184,7 +194,7 @@ def projector_shadow(depth: Singles, K: Floats, baseline: float) -> Bools:
 
 @njit(cache=True, nogil=True)
 def _is_step(depth: Singles, normals: Singles, K: Floats, v: int, u: int, w: int, s: int, jump: float) -> bool:
-    """Tell whether the neighbour (w, s) of (v, u) is missing, or more than ``jump`` off its depth and its plane."""
+    """Tell whether (w, s), a neighbour of (v, u), has no depth or lies off both its depth and its tangent plane."""
     z, beside = depth[v, u], depth[w, s]
     if beside <= 0.0:
         return True
@@ -224,9 +234,19 @@ def measure(
     reference: float,
     min_cosine: float,
 ) -> Singles:
-    """Return the (H, W) float32 depth with noise, and 0 where ``lost`` or seen at too flat an angle.
+    """Return the measured (H, W) float32 depth [m], 0 where nothing is measured.
 
-    The standard deviation is ``sigma * (z / reference)**2 / cos(incidence)``; ``noise`` (H, W) float32 is unit normal.
+    The standard deviation of the noise is ``sigma * (z / reference)**2 / cos(incidence)``.
+
+    Args:
+        depth: (H, W) float32 true depth [m].
+        normals: (H, W, 3) float32 unit normals.
+        lost: (H, W) mask of pixels without a measurement.
+        K: (3, 3) pinhole matrix [px].
+        noise: (H, W) float32 draws from the standard normal distribution.
+        sigma: Standard deviation at the reference depth on a surface square to the ray [m].
+        reference: Depth at which ``sigma`` holds [m].
+        min_cosine: Smallest cosine of the angle of incidence at which something is measured.
     """
     height, width = depth.shape
     measured = np.zeros((height, width), np.float32)

@@ -47,7 +47,7 @@ def _edge_planes(a: Floats, b: Floats, c: Floats, planes: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def _pixel_box(a: Floats, b: Floats, c: Floats, K: Floats, region: Longs) -> tuple[int, int, int, int]:
-    """Return the rectangle (u0, v0, u1, v1) of pixels that a triangle can cover; empty if it lies behind the eye."""
+    """Return the rectangle (u0, v0, u1, v1) of pixels that a triangle can cover; it is empty behind the eye."""
     u0, v0, u1, v1 = region[0], region[1], region[2], region[3]
     if a[2] <= NEAR and b[2] <= NEAR and c[2] <= NEAR:
         return u0, v0, u0, v0
@@ -92,14 +92,14 @@ def rasterise(
     """Draw triangles into a z-buffer: a pixel belongs to a triangle if its centre's ray meets it.
 
     Args:
-        vertices: (V, 3) float64.
-        faces: (T, 3) int32.
-        face_range: (M, 2) int64 half-open runs of faces to draw.
-        two_sided: (T,) bool; one-sided faces are drawn only where their counter-clockwise side is seen.
-        K: (3, 3).
-        region: (4,) int64.
-        depth: (H, W) float64, infinite where empty; changed in place.
-        face_at: (H, W) int32, the face that owns the depth; changed in place.
+        vertices: (V, 3) float64 vertices in the camera frame [m].
+        faces: (T, 3) int32 vertices of each face.
+        face_range: (M, 2) int64 half-open ranges of faces to draw.
+        two_sided: (T,) mask of the faces that are drawn from both sides; others only from their counter-clockwise side.
+        K: (3, 3) pinhole matrix [px].
+        region: (4,) int64 rectangle of pixels to draw into.
+        depth: (H, W) float64 z-buffer [m], infinite where empty; changed in place.
+        face_at: (H, W) int32 face that owns each depth; changed in place.
     """
     planes = np.empty((3, 3))
     for m in range(len(face_range)):
@@ -118,6 +118,7 @@ def rasterise(
                 continue
             sign = 1.0 if offset > 0.0 else -1.0
             nearest, farthest = max(min(a[2], b[2], c[2]), NEAR), max(a[2], b[2], c[2])
+            # Row by row: pixels inside all three edges, at the depth of the triangle's plane there.
             for v in range(v0, v1):
                 y = (v - K[1, 2]) / K[1, 1]
                 low, high = _row_span(planes, sign, K, y, u0, u1)
@@ -141,19 +142,16 @@ def rasterise(
 def count_silhouettes(
     vertices: Floats, faces: Ints, rotations: Floats, positions: Floats, K: Floats, region: Longs, stamp: Ints
 ) -> Longs:
-    """Count the pixels of one mesh at N poses, each drawn alone.
+    """Return the (N,) number of pixels in the silhouette of one closed mesh at each of N poses, drawn alone.
 
     Args:
-        vertices: (V, 3) float64 in the part's frame.
-        faces: (T, 3) int32.
-        rotations: (N, 3, 3) float64.
-        positions: (N, 3) float64.
-        K: (3, 3).
-        region: (4,) int64.
-        stamp: (H, W) int32 filled with -1; changed in place.
-
-    Returns:
-        (N,) int64.
+        vertices: (V, 3) float64 vertices in the part frame [m].
+        faces: (T, 3) int32 vertices of each face.
+        rotations: (N, 3, 3) float64 rotations from the part frame to the camera's.
+        positions: (N, 3) float64 origins of the part frame in the camera frame [m].
+        K: (3, 3) pinhole matrix [px].
+        region: (4,) int64 rectangle of pixels that count.
+        stamp: (H, W) int32 last pose that each pixel was counted for, filled with -1; changed in place.
     """
     counts = np.zeros(len(positions), np.int64)
     planes = np.empty((3, 3))
@@ -169,6 +167,7 @@ def count_silhouettes(
             offset = a[0] * planes[0, 0] + a[1] * planes[0, 1] + a[2] * planes[0, 2]
             if offset >= 0.0:  # the front faces of a closed mesh cover its whole silhouette
                 continue
+            # Count each pixel once for this pose, whichever of its faces covers it.
             for v in range(v0, v1):
                 y = (v - K[1, 2]) / K[1, 1]
                 low, high = _row_span(planes, -1.0, K, y, u0, u1)
@@ -211,6 +210,7 @@ def interpolate_normals(
                 continue
             x = (u - K[0, 2]) / K[0, 0]
             _edge_planes(vertices[faces[t, 0]], vertices[faces[t, 1]], vertices[faces[t, 2]], planes)
+            # Mean of the corners' normals, weighted by the barycentric coordinates of the pixel.
             n0 = n1 = n2 = 0.0
             side = 0.0
             for k in range(3):
@@ -219,6 +219,7 @@ def interpolate_normals(
                 n1 += w * corner_normals[t, k, 1]
                 n2 += w * corner_normals[t, k, 2]
                 side += w
+            # Turned to the camera frame and to unit length.
             R = rotations[geom_at[v, u]]
             m0 = R[0, 0] * n0 + R[0, 1] * n1 + R[0, 2] * n2
             m1 = R[1, 0] * n0 + R[1, 1] * n1 + R[1, 2] * n2
@@ -233,14 +234,14 @@ def interpolate_normals(
 
 @njit(cache=True, nogil=True)
 def split_groups(group_at: Ints, inside: Bytes, u0: int, v0: int, child: Ints, count: int) -> int:
-    """Move every pixel under the mask ``inside`` (h, w), placed at (u0, v0), from its group to that group's child.
+    """Move the pixels under a mask from their groups to new ones: all pixels of one group to the same new group.
 
     Args:
         group_at: (H, W) int32 group of each pixel, -1 for none; changed in place.
-        inside: (h, w) uint8.
-        u0: Left column of ``inside``.
-        v0: Top row of ``inside``.
-        child: (capacity,) int32 filled with -1; receives the group that each group's pixels moved to.
+        inside: (h, w) uint8 mask of the pixels to move.
+        u0: Column of the mask's left edge in the image.
+        v0: Row of the mask's top edge in the image.
+        child: (capacity,) int32 filled with -1; receives the new group of each group that pixels were moved from.
         count: Number of groups so far.
 
     Returns:
@@ -260,7 +261,12 @@ def split_groups(group_at: Ints, inside: Bytes, u0: int, v0: int, child: Ints, c
 
 @njit(cache=True, nogil=True)
 def group_pixels(group_at: Ints, region: Longs, count: int) -> tuple[Longs, Longs]:
-    """Sort the region's pixels by group; returns flat pixel indices (P,) and each group's start (count + 1,)."""
+    """Sort the region's pixels by group (a counting sort).
+
+    Returns:
+        (P,) flat pixel indices, and the (count + 1,) index at which each group starts in them.
+    """
+    # Count each group's pixels; their running sum is where each group starts.
     start = np.zeros(count + 1, np.int64)
     width = group_at.shape[1]
     for v in range(region[1], region[3]):
@@ -269,6 +275,7 @@ def group_pixels(group_at: Ints, region: Longs, count: int) -> tuple[Longs, Long
                 start[group_at[v, u] + 1] += 1
     for g in range(count):
         start[g + 1] += start[g]
+    # Put each pixel to the next free place of its group.
     place = start[:-1].copy()
     pixels = np.empty(start[-1], np.int64)
     for v in range(region[1], region[3]):

@@ -1,4 +1,4 @@
-"""The overhead depth camera: true depth and ids from one of three backends, then shading and the sensor's noise."""
+"""The overhead depth camera: true depth and part ids from one of three backends, then shading and sensor noise."""
 
 import os
 from dataclasses import dataclass
@@ -17,22 +17,22 @@ from binpick_env.config import CameraConfig, SensorPreset
 from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import Floats, camera_matrix, make_transform, require_shape
 
-MARGIN = 0.03  # beside the bin's inner box: its walls and a little of the table [m]
-HEADROOM = 0.03  # above the rim, for a heaped pile [m]
+MARGIN = 0.03  # width of the rendered border around the bin's inner box [m]: its walls and a little of the table
+HEADROOM = 0.03  # height above the rim that is rendered, for a heaped pile [m]
 _TO_EYE = np.array([0.0, 0.0, -1.0], np.float32)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Capture:
-    """One labelled_capture, and the truth behind it.
+    """A frame with the ground truth of its pixels.
 
     Attributes:
         frame: What a real camera would deliver.
         instance_ids: (H, W) int64 part seen by each pixel, -1 for the container and for nothing.
         depth_true: (H, W) float32 noise-free depth [m], 0 where there is nothing or outside the region.
         normals: (H, W, 3) float32 unit normals, camera frame, towards the eye, smooth across facets; 0 for nothing.
-        region: Half-open rectangle ``(u0, v0, u1, v1)`` of the pixels that were looked at.
-        T_world_cam: (4, 4) where the camera was; the frame has where it is believed to have been.
+        region: Half-open rectangle ``(u0, v0, u1, v1)`` of the pixels that were rendered.
+        T_world_cam: (4, 4) true pose of the camera; the frame has the reported one.
     """
 
     frame: Frame
@@ -44,7 +44,7 @@ class Capture:
 
 
 class DepthCamera:
-    """A structured-light camera over the bin; sees geoms of group 2, and looks only where the bin is in the image."""
+    """A structured-light camera over the bin. It sees geoms of group 2, and renders only the bin's image region."""
 
     def __init__(
         self,
@@ -59,12 +59,12 @@ class DepthCamera:
         """Prepare the model's visible geoms; the model's groups, sizes and meshes must not change afterwards.
 
         Args:
-            model: Whose visible geoms are in group 2.
-            config: Image, optics and backend.
-            workspace: The bin.
-            instance_of_geom: (ngeom,) part of each geom, -1 for none.
+            model: Model with its visible geoms in group 2.
+            config: Image size, optics and backend.
+            workspace: Pose and inner box of the bin.
+            instance_of_geom: (ngeom,) part that each geom belongs to, -1 for none.
             T_world_cam: (4, 4) pose of the camera, OpenCV axes; straight above the bin by default.
-            threads: For casting rays; all cores of this process by default. The result does not depend on it.
+            threads: Number of threads that cast rays; by default all cores. The result does not depend on it.
         """
         instance_of_geom = np.asarray(instance_of_geom, np.int64)
         if instance_of_geom.shape != (model.ngeom,):
@@ -94,7 +94,7 @@ class DepthCamera:
         self.displace(np.zeros(3))
 
     def displace(self, offset_world: Floats) -> None:
-        """Report a place that is (3,) ``offset_world`` [m] beside the true one, as a bad hand-eye calibration does."""
+        """Report a position that is off by (3,) ``offset_world`` [m], as after an inexact hand-eye calibration."""
         require_shape("offset_world", offset_world, (3,))
         self.offset_world = np.array(offset_world, np.float64)
 
@@ -108,16 +108,16 @@ class DepthCamera:
         """Take a frame of ``data``, whose kinematics must be up to date (``mj_forward`` or a step's).
 
         Args:
-            data: Of the model that the camera was made with; read only.
-            rng: The sensor's chance.
-            sensor: A preset's name, or a model.
-            light: How the grey image is lit; :class:`Light`'s defaults if left out.
+            data: State of the model that the camera was made with; it is not changed.
+            rng: Source of the sensor's random numbers.
+            sensor: Name of a preset, or a model of the sensor.
+            light: Lighting of the grey image; :class:`Light`'s defaults if left out.
 
         Raises:
-            ValueError: If ``data`` is of another model or a visible geom's pose is not finite.
+            ValueError: ``data`` is of another model, or a visible geom's pose is not finite.
         """
         measures = sensor_model(sensor)
-        hits, region = self._look(data)
+        hits, region = self._render(data)
         depth_true = hits.depth.astype(np.float32)
         instance_ids = self._instances[hits.geom_at]
         grey = (light or Light()).shade(depth_true, hits.normals, instance_ids, self.K)
@@ -139,7 +139,8 @@ class DepthCamera:
         if self._egl is not None:
             self._egl.close()
 
-    def _look(self, data: mujoco.MjData) -> tuple[Hits, NDArray[np.int64]]:
+    def _render(self, data: mujoco.MjData) -> tuple[Hits, NDArray[np.int64]]:
+        """Return the first surface behind each pixel, and the (4,) region that was rendered."""
         if data.geom_xpos.shape[0] != self._model.ngeom:
             raise ValueError(f"data has {data.geom_xpos.shape[0]} geoms, the camera's model {self._model.ngeom}")
         size = (self.config.width, self.config.height)
@@ -160,7 +161,7 @@ def default_pose(workspace: Workspace, distance: float) -> Floats:
     """Return ``T_world_cam`` (4, 4) straight above the bin: image x along the bin's x, the optical axis along its -z.
 
     Args:
-        workspace: The bin.
-        distance: From the bin's inner floor [m].
+        workspace: Pose and inner box of the bin.
+        distance: Distance of the camera from the bin's inner floor [m].
     """
     return workspace.T_world_bin @ make_transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, distance))

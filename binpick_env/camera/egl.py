@@ -17,7 +17,7 @@ NEAR_CLIP, FAR_CLIP = 0.05, 5.0  # clipping planes [m]; the depth buffer is hype
 # OpenCV looks along +z with y down, GL along -z with y up: the one place where the camera is turned.
 _GL_FORWARD, _GL_UP = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
 
-_owner: "EglRenderer | None" = None  # whose context this process holds; a second one corrupts the first
+_owner: "EglRenderer | None" = None  # renderer that holds this process's context; a second one corrupts the first
 
 
 class NearPlane(NamedTuple):

@@ -1,4 +1,4 @@
-"""The cell's visible meshes and boxes as triangles: a z-buffer of its own, and smooth normals for shading."""
+"""The raster backend: visible meshes and boxes drawn as triangles into a z-buffer, with smooth normals for shading."""
 
 from dataclasses import dataclass
 
@@ -83,7 +83,7 @@ class Rasteriser:
         return hits
 
     def smooth(self, view: View, hits: Hits) -> Hits:
-        """Replace flat normals by smooth ones wherever the raster sees the same geom as ``hits``.
+        """Replace flat normals by smooth ones wherever the rasteriser finds the same geom as ``hits``.
 
         MuJoCo's rays give the normal of the flat face, which would show the facets of a cylinder as edges.
         """

@@ -1,4 +1,4 @@
-"""The reference backend: MuJoCo's own ray casting, the same bits on any number of threads and without any GL."""
+"""The reference backend: MuJoCo's own ray casting, bit-identical on any number of threads and without GL."""
 
 import copy
 from collections import deque
@@ -13,8 +13,8 @@ from binpick_env.camera import _raster_kernels as _kernels
 from binpick_env.camera.view import VISIBLE, Hits, View, visible_geoms
 from perception.geometry import NEAR, Floats, project_points
 
-CHUNK = 16384  # rays in one call of MuJoCo; small enough that two threads finish together
-MARGIN = 2  # [px] around an outline, more than its rounding to integers can take away
+CHUNK = 16384  # number of rays in one call of MuJoCo; small enough that two threads finish together
+MARGIN = 2  # width by which an outline is grown [px], more than its rounding to integers can lose
 
 
 class RayCaster:
@@ -22,7 +22,7 @@ class RayCaster:
 
     The pixels are sorted by the set of geoms that their ray can meet; each set is one or more calls of ``mj_multiRay``
     on a private model in which the other geoms are hidden. MuJoCo's own culling is left out: it bounds geoms by angles
-    about the world's z axis and misses surfaces around it, which is where a camera that looks straight down looks.
+    about the world's z axis and misses surfaces around that axis, where a camera that points straight down sees them.
     """
 
     def __init__(self, model: mujoco.MjModel, threads: int) -> None:
@@ -59,7 +59,11 @@ class RayCaster:
         return hits
 
     def _group(self, view: View) -> tuple[NDArray[np.int64], NDArray[np.int64], list[tuple[int, ...]]]:
-        """Sort the region's pixels by the geoms they can see: flat pixels, each group's start, each group's geoms."""
+        """Sort the region's pixels by the set of geoms that their rays can meet.
+
+        Returns:
+            (P,) flat pixel indices, the (G + 1,) index at which each group starts in them, each group's geoms.
+        """
         u0, v0, u1, v1 = view.region
         group_at = np.full((view.height, view.width), -1, np.int32)
         group_at[v0:v1, u0:u1] = 0
@@ -78,7 +82,7 @@ class RayCaster:
 
 
 class _Worker:
-    """A thread's own model, whose visible geoms change by the call, and data, whose poses are in the camera frame."""
+    """Model and state of one thread: visible geoms change with each call, and poses are in the camera frame."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = copy.copy(model)
@@ -132,7 +136,7 @@ def _outline(points_cam: Floats, view: View) -> tuple[NDArray[np.uint8], int, in
     if behind.any():
         return None if behind.all() else everywhere
     pixels = project_points(view.K, points_cam)
-    if np.abs(pixels).max() > 1e6:  # beside the eye: no outline in integers
+    if np.abs(pixels).max() > 1e6:  # close to the eye's plane: pixels too far off for integers
         return everywhere
     left, top = (max(int(low) - MARGIN - 1, first) for low, first in zip(pixels.min(axis=0), (u0, v0), strict=True))
     right, bottom = (min(int(high) + MARGIN + 2, end) for high, end in zip(pixels.max(axis=0), (u1, v1), strict=True))

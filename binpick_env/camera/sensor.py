@@ -1,4 +1,4 @@
-"""The structured-light sensor: what it measures of a true depth image, and what it loses."""
+"""The structured-light sensor: noise and losses of the measured depth."""
 
 from dataclasses import dataclass
 
@@ -12,19 +12,19 @@ from perception.geometry import Floats, require_shape
 
 @dataclass(frozen=True, kw_only=True)
 class SensorModel:
-    """A camera with a projector beside it.
+    """Model of a camera with a projector beside it.
 
     A pixel has no depth where the projector does not reach, where the surface is seen at more than ``max_incidence``,
     and, with probability ``edge_loss``, beside a depth discontinuity. Elsewhere white Gaussian noise is added, of
     standard deviation ``sigma_z (z / reference)^2 / cos(incidence)``. The grey image is not touched.
     """
 
-    sigma_z: float = 0.0  # standard deviation of depth on a surface square to the ray, at `reference` [m]
+    sigma_z: float = 0.0  # standard deviation of the depth of a surface square to the ray, at `reference` [m]
     reference: float = 0.9  # depth at which sigma_z holds [m]
     edge_loss: float = 0.0  # share of the pixels beside depth discontinuities that are lost
-    edge_jump: float = 0.003  # a depth step that the surface's slope does not explain counts as an edge from here [m]
+    edge_jump: float = 0.003  # smallest depth step, beyond what the surface's slope explains, that is an edge [m]
     max_incidence: float = np.pi / 2  # angle between ray and surface normal beyond which nothing returns [rad]
-    baseline: float = 0.0  # projector's place along the camera's x axis [m]; 0 casts no shadow
+    baseline: float = 0.0  # position of the projector along the camera's x axis [m]; 0 casts no shadow
 
     def __post_init__(self) -> None:
         if not (0 <= self.sigma_z < np.inf and self.reference > 0 and self.edge_jump > 0):
@@ -57,7 +57,7 @@ class SensorModel:
             depth_true: (H, W) float32 noise-free depth [m], 0 where there is nothing.
             normals: (H, W, 3) float32 unit surface normals in the camera frame, towards the eye.
             K: (3, 3) pinhole matrix [px].
-            rng: The only source of chance. A perfect sensor draws nothing, any other two numbers a pixel.
+            rng: Source of all random numbers. A perfect sensor draws none, any other draws two numbers a pixel.
         """
         require_shape("depth_true", depth_true, (None, None))
         require_shape("normals", normals, (*depth_true.shape, 3))
@@ -85,7 +85,11 @@ PRESETS: dict[SensorPreset, SensorModel] = {
 
 
 def sensor_model(sensor: SensorPreset | SensorModel) -> SensorModel:
-    """Return a preset by its name; a model is passed through."""
+    """Return the model of a preset by its name; a model is returned as it is.
+
+    Raises:
+        ValueError: There is no such preset.
+    """
     if isinstance(sensor, SensorModel):
         return sensor
     if sensor not in PRESETS:

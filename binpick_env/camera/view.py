@@ -1,4 +1,4 @@
-"""What a camera backend is asked for, and what it answers."""
+"""Input and output of a camera backend: a view of posed geoms, and the first surface behind each pixel."""
 
 from dataclasses import dataclass
 
@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 
 from perception.geometry import Floats, invert_transform, transform_points
 
-VISIBLE = 2  # the geom group that cameras see
+VISIBLE = 2  # geom group that cameras see
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class View:
-    """One look at posed geoms.
+    """Camera and poses of the geoms in front of it.
 
     Attributes:
         K: (3, 3) pinhole matrix [px].
-        width: Of the image [px].
-        height: Of the image [px].
+        width: Width of the image [px].
+        height: Height of the image [px].
         region: (4,) int64 half-open rectangle ``u0, v0, u1, v1`` of the pixels to fill.
         rotations: (ngeom, 3, 3) geom axes in the camera frame.
         positions: (ngeom, 3) geom origins in the camera frame [m].
@@ -48,7 +48,7 @@ class Hits:
 
     @classmethod
     def empty(cls, view: View) -> "Hits":
-        """Return hits of nothing, to be filled by a backend."""
+        """Return arrays in which there is nothing behind any pixel, for a backend to fill."""
         size = (view.height, view.width)
         return cls(depth=np.zeros(size), geom_at=np.full(size, -1, np.int32), normals=np.zeros((*size, 3), np.float32))
 

@@ -1,4 +1,4 @@
-"""What physically became of the parts: delivered, brought in company, or lost outside of bin and tray."""
+"""The judgement of deliveries: which parts were delivered alone, delivered together, or lost outside bin and tray."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,10 +10,10 @@ from binpick_env.cell.simulation import Simulation
 from perception.frame import Workspace
 from perception.geometry import Floats, make_transform
 
-OPEN_BELOW = 0.35  # gripper command under which the jaw counts as opening
-REST_SPEED = 0.02  # under which a part counts as at rest [m/s]
-REST_TIME = 0.12  # for how long [s]
-LOST_AFTER = 1.0  # at rest or falling outside of bin and tray for this long [s]
+OPEN_BELOW = 0.35  # gripper command below which the jaw counts as open
+REST_SPEED = 0.02  # speed below which a part counts as at rest [m/s]
+REST_TIME = 0.12  # time at rest after which a release is judged [s]
+LOST_AFTER = 1.0  # time at rest or falling outside of bin and tray after which a part is lost [s]
 
 
 class Delivery(StrEnum):
@@ -27,11 +27,11 @@ class Delivery(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class DeliveryEvent:
-    """One part leaves play.
+    """A part that leaves play.
 
     Attributes:
         part: Index of the part.
-        kind: How.
+        kind: How it left play.
         time: Simulated time of the judgement [s].
     """
 
@@ -42,14 +42,14 @@ class DeliveryEvent:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JudgeState:
-    """What a `DeliveryJudge` remembers; nothing changes it.
+    """State of a `DeliveryJudge`.
 
     Attributes:
         entered: Parts that came over the tray since the gripper last opened.
-        unreleased: Parts that fell into the tray before that.
-        still: (capacity,) how long each part has been at rest [s].
-        outside: (capacity,) for how long it has been at rest or falling outside of bin and tray [s].
-        was_open: Whether the jaw was opening.
+        unreleased: Parts that fell into the tray while the gripper was closed.
+        still: (capacity,) time for which each part has been at rest [s].
+        outside: (capacity,) time for which each part has been at rest or falling outside of bin and tray [s].
+        was_open: Whether the jaw counted as open at the last update.
     """
 
     entered: frozenset[int]
@@ -60,9 +60,13 @@ class JudgeState:
 
 
 class DeliveryJudge:
-    """Watches the tray: who entered since the gripper last opened, who is at rest; parks those that are judged."""
+    """Decides when and how parts leave play, and parks them.
+
+    It remembers which parts entered the tray since the gripper last opened, and how long each has been at rest.
+    """
 
     def __init__(self, simulation: Simulation, period: float) -> None:
+        """Judge the parts of a simulation, with an update every ``period`` [s]."""
         self._simulation = simulation
         self._period = period
         tray = simulation.config.tray
@@ -77,7 +81,7 @@ class DeliveryJudge:
         self._was_open = True
 
     def state(self) -> JudgeState:
-        """Return what is remembered."""
+        """Return the state for :meth:`restore`."""
         return JudgeState(
             entered=frozenset(self._entered),
             unreleased=frozenset(self._unreleased),
@@ -87,7 +91,7 @@ class DeliveryJudge:
         )
 
     def restore(self, state: JudgeState) -> None:
-        """Remember what was remembered then."""
+        """Go back to a state."""
         self._entered, self._unreleased = set(state.entered), set(state.unreleased)
         self._still, self._outside = state.still.copy(), state.outside.copy()
         self._was_open = state.was_open
@@ -103,10 +107,10 @@ class DeliveryJudge:
         return simulation.in_play & ~in_bin & ~simulation.touched_by_gripper()
 
     def update(self, gripper: float) -> list[DeliveryEvent]:
-        """Judge after one control period.
+        """Judge after one control period, and return how parts left play in it.
 
         Args:
-            gripper: The command in force, 0 open to 1 closed.
+            gripper: Gripper command of the period, 0 open to 1 closed.
         """
         simulation = self._simulation
         is_open = gripper < max(OPEN_BELOW, simulation.gripper_open + 1e-3)  # a narrow jaw's widest counts as open
@@ -123,13 +127,13 @@ class DeliveryJudge:
             if i not in self._entered and not is_open and not held[i]:
                 self._unreleased.add(int(i))
         if is_open:
-            # Up to twice the rim: a part that comes to lie on top of another has entered in its company.
+            # Up to twice the rim's height: a part that comes to lie on another one has entered together with it.
             over_tray = self._tray.contains(simulation.part_centres(), headroom=float(self._tray.inner_size[2]))
             self._entered.update(int(i) for i in np.flatnonzero(simulation.in_play & over_tray))
         return [*self._judge_tray(in_tray), *self._judge_lost(in_tray)]
 
     def _judge_tray(self, in_tray: NDArray[np.bool_]) -> list[DeliveryEvent]:
-        """Judge a release once all its parts are at rest in the tray (or have left it again)."""
+        """Judge a release once all of its parts are at rest in the tray or have left it again."""
         present = {int(i) for i in np.flatnonzero(in_tray)}
         if not present or any(self._still[i] < REST_TIME for i in present):
             return []
@@ -145,12 +149,14 @@ class DeliveryJudge:
         return events
 
     def _judge_lost(self, in_tray: NDArray[np.bool_]) -> list[DeliveryEvent]:
+        """Judge the parts that have been at rest or falling outside of bin and tray for long enough."""
         z = self._simulation.part_centres()[:, 2]
         stray = self.loose() & ~in_tray & ((self._still > 0) | (z < 0.0))
         self._outside = np.where(stray, self._outside + self._period, 0.0)
         return [self._retire(int(i), Delivery.LEFT_BIN) for i in np.flatnonzero(self._outside >= LOST_AFTER)]
 
     def _retire(self, i: int, kind: Delivery) -> DeliveryEvent:
+        """Take part ``i`` out of play."""
         self._simulation.park(i)
         self._unreleased.discard(i)
         self._still[i] = self._outside[i] = 0.0

@@ -1,4 +1,4 @@
-"""Pictures of the cell for people: by OpenGL where it is asked for and works, by our own rasteriser elsewhere."""
+"""Pictures of the cell for people, by OpenGL where ``MUJOCO_GL`` asks for it and it works, else by the rasteriser."""
 
 import logging
 import os
@@ -36,7 +36,7 @@ def default_viewpoint(simulation: Simulation) -> Floats:
 
 
 class PicturePainter:
-    """Paints shaded pictures of a simulation with the camera's rasteriser. No GL is needed."""
+    """Paints shaded pictures of a simulation with the camera's rasteriser; needs no GL."""
 
     def __init__(self, simulation: Simulation) -> None:
         """Gather the visible meshes; about 0.3 s."""
@@ -48,7 +48,14 @@ class PicturePainter:
     def paint(
         self, T_world_cam: Floats, width: int = 640, height: int = 480, focal_px: float | None = None
     ) -> NDArray[np.uint8]:
-        """Return an (H, W, 3) uint8 RGB picture, lit by one lamp without shadows."""
+        """Return an (H, W, 3) uint8 RGB picture, lit by one lamp without shadows.
+
+        Args:
+            T_world_cam: (4, 4) pose of the camera, OpenCV axes.
+            width: Width of the picture [px].
+            height: Height of the picture [px].
+            focal_px: Focal length [px]; 1.05 times the width by default.
+        """
         simulation = self._simulation
         rotations, positions = geoms_in_camera(simulation.model, simulation.data, self._geoms, T_world_cam)
         view = View(
@@ -70,7 +77,7 @@ class PicturePainter:
 
 
 def _colours(model: mujoco.MjModel) -> Floats:
-    """Return (ngeom, 3) colours; a material's colour goes before the geom's own."""
+    """Return the (ngeom, 3) colours of the geoms, those of their materials where they have one."""
     rgba = model.geom_rgba.astype(np.float64)
     material = model.geom_matid
     rgba[material >= 0] = model.mat_rgba[material[material >= 0]]
@@ -78,9 +85,10 @@ def _colours(model: mujoco.MjModel) -> Floats:
 
 
 class CellRenderer:
-    """What the environment's render modes show; GL is tried once, lazily, and given up with one logged line."""
+    """Renders the environment's pictures and its viewer. GL is tried once, at the first picture."""
 
     def __init__(self, simulation: Simulation, width: int = 640, height: int = 480) -> None:
+        """Prepare pictures of ``width`` x ``height`` [px]; nothing is opened yet."""
         self._simulation = simulation
         self._size = (height, width)
         self._gl: mujoco.Renderer | None = None

@@ -21,9 +21,10 @@ GRIPPER = "gripper/"  # prefix of every name in the attached gripper
 GRIPPER_ACTUATOR = GRIPPER + "fingers_actuator"
 FINGER_PADS = ((GRIPPER + "left_pad1", GRIPPER + "left_pad2"), (GRIPPER + "right_pad1", GRIPPER + "right_pad2"))
 TCP_SITE = GRIPPER + "tcp"
-TCP_OFFSET = 0.145  # from the gripper's base to Menagerie's `pinch` point [m]
+TCP_OFFSET = 0.145  # distance from the gripper's base to Menagerie's `pinch` point [m]
 
-# The tcp straight down, 0.30 m above the drop tray of the default cell, elbow up, 15 cm outside of the camera's view.
+# Joint positions at home [rad]: the tcp points down, 0.30 m above the drop tray of the default cell, elbow up, 15 cm
+# outside of the camera's view.
 HOME: Floats = np.array([-1.0130, -1.2780, 1.7100, -2.0028, -np.pi / 2, -1.0130])
 
 
@@ -35,25 +36,25 @@ def _menagerie(folder: str, name: str) -> mujoco.MjSpec:
 
 
 def robot_spec(config: RobotConfig) -> mujoco.MjSpec:
-    """Return a new spec with the pedestal, the arm, the gripper and the site ``gripper/tcp``; a scene is built onto it.
+    """Return a new spec with the pedestal, the arm, the gripper and the site ``gripper/tcp``.
 
-    The tcp frame: z along the approach, y along the closing direction, x across the pads; its origin is 0.145 m in
-    front of the gripper's base. Arm and gripper carry their own weight (gravity compensation), as the real controller
-    sees to. The 2F-85's contact options (elliptic cones, impratio 10) do not survive its attachment and are set on the
-    arm's spec; noslip iterations keep gripped parts from creeping (mujoco#3328).
+    The tcp frame has z along the approach, y along the closing direction and x across the pads; its origin is 0.145 m
+    in front of the gripper's base. Gravity of arm and gripper is compensated, as by the real controller. The 2F-85's
+    contact options (elliptic cones, impratio 10) are lost when it is attached, and are therefore set on the arm's spec.
+    Noslip iterations keep gripped parts from creeping (mujoco#3328).
     """
     spec = _menagerie("universal_robots_ur5e", "ur5e.xml")
     gripper = _menagerie("robotiq_2f85", "2f85.xml")
     for element in [*spec.lights, *spec.keys]:
         spec.delete(element)
-    for options in (spec.option, gripper.option):  # alike on both sides: attaching loses nothing and warns of nothing
+    for options in (spec.option, gripper.option):  # the same in both, since attaching warns of differences
         options.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         options.impratio = 10.0
         options.noslip_iterations = 5
         options.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for side in FINGER_PADS:
         for name in side:
-            # The silicone pad touches in a patch, not a point: torsional friction of a patch of 1 cm radius, 2/3 mu r.
+            # The silicone pad touches on a patch, not at a point: torsional friction 2/3 mu r of a patch of 1 cm.
             pad = gripper.geom(name.removeprefix(GRIPPER))
             pad.condim = 6
             pad.friction = [pad.friction[0], 0.005, 0.0005]
@@ -63,7 +64,7 @@ def robot_spec(config: RobotConfig) -> mujoco.MjSpec:
         if body.name != "world":
             body.gravcomp = 1.0
     spec.body("base").pos = [0, 0, config.pedestal_height]
-    spec.body("base").quat = [1, 0, 0, 0]  # Menagerie turns it by 180 deg; so, a pan near 0 faces the bin
+    spec.body("base").quat = [1, 0, 0, 0]  # instead of Menagerie's turn by 180 deg, so that a pan near 0 faces the bin
     half = config.pedestal_height / 2
     spec.worldbody.add_geom(
         name="pedestal",

@@ -1,7 +1,9 @@
-"""The cell as one MjSpec: robot, table, bin, drop tray and, where wanted, the parts.
+"""The cell as one MjSpec: robot, table, bin, drop tray and parts.
 
 Visible geoms are in group 2, collision shapes in group 3; cameras see group 2 only.
 """
+
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -16,12 +18,19 @@ VISIBLE, COLLISION = 2, 3
 PART = "part_"  # bodies are part_0, part_1, ...
 BIN_BODY, TRAY_BODY, TABLE_GEOM = "bin", "tray", "table"
 
+_BIN_COLOUR, _TRAY_COLOUR = (0.32, 0.36, 0.42, 1), (0.3, 0.42, 0.34, 1)
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 _MESH = mujoco.mjtGeom.mjGEOM_MESH
 
 
 def cell_spec(config: CellConfig, part: Part | None = None, num_parts: int = 0) -> mujoco.MjSpec:
-    """Build the cell with ``num_parts`` copies of ``part``, each a free body, parked in a grid below the table."""
+    """Build the cell, with copies of a part as free bodies that are parked in a grid below the table.
+
+    Args:
+        config: Settings of the cell.
+        part: Part to be copied; None adds none.
+        num_parts: Number of copies.
+    """
     spec = robot_spec(config.robot)
     spec.option.timestep = config.timestep
     spec.visual.global_.offwidth = max(1280, config.camera.width)
@@ -31,31 +40,34 @@ def cell_spec(config: CellConfig, part: Part | None = None, num_parts: int = 0) 
     spec.worldbody.add_geom(
         name=TABLE_GEOM, type=_BOX, size=[0.8, 0.8, 0.05], pos=[0.3, 0, -0.05], rgba=[0.55, 0.5, 0.45, 1], group=VISIBLE
     )
-    bin_ = config.bin
-    T_world_bin = bin_.workspace().T_world_bin
-    _add_box(spec, BIN_BODY, T_world_bin, bin_.inner_size, bin_.wall, config.contact, (0.32, 0.36, 0.42, 1))
-    tray = config.tray
-    T_world_tray = make_transform(translation=(*tray.position, tray.wall))
-    _add_box(spec, TRAY_BODY, T_world_tray, tray.inner_size, tray.wall, config.contact, (0.3, 0.42, 0.34, 1))
+    T_world_tray = make_transform(translation=(*config.tray.position, config.tray.wall))
+    boxes = (
+        _OpenBox(BIN_BODY, config.bin.workspace().T_world_bin, config.bin.inner_size, config.bin.wall, _BIN_COLOUR),
+        _OpenBox(TRAY_BODY, T_world_tray, config.tray.inner_size, config.tray.wall, _TRAY_COLOUR),
+    )
+    for box in boxes:
+        _add_box(spec, box, config.contact)
     if part is not None and num_parts > 0:
         _add_parts(spec, part, num_parts, config.contact)
     return spec
 
 
-def _add_box(
-    spec: mujoco.MjSpec,
-    name: str,
-    T_world_box: Floats,
-    inner: tuple[float, float, float],
-    wall: float,
-    contact: ContactConfig,
-    rgba: tuple[float, float, float, float],
-) -> None:
-    """Add an open box; its frame's origin is the centre of the inner floor."""
-    body = spec.worldbody.add_body(name=name, pos=T_world_box[:3, 3], quat=quat_from_matrix(T_world_box[:3, :3]))
-    length, width, height = inner
+class _OpenBox(NamedTuple):
+    """A box without a lid; the origin of its frame is the centre of the inner floor."""
+
+    name: str
+    T_world_box: Floats
+    inner_size: tuple[float, float, float]  # length, width, height inside [m]
+    wall: float  # thickness of walls and floor [m]
+    rgba: tuple[float, float, float, float]
+
+
+def _add_box(spec: mujoco.MjSpec, box: _OpenBox, contact: ContactConfig) -> None:
+    quat = quat_from_matrix(box.T_world_box[:3, :3])
+    body = spec.worldbody.add_body(name=box.name, pos=box.T_world_box[:3, 3], quat=quat)
+    length, width, height = box.inner_size
     long, short, high = length / 2, width / 2, height / 2
-    half = wall / 2
+    wall, half = box.wall, box.wall / 2
     sides = {
         "floor": ([long + wall, short + wall, half], [0, 0, -half]),
         "wall_x+": ([half, short + wall, high], [long + half, 0, high]),
@@ -64,7 +76,7 @@ def _add_box(
         "wall_y-": ([long, half, high], [0, -short - half, high]),
     }
     for side, (size, pos) in sides.items():
-        geom = body.add_geom(name=f"{name}/{side}", type=_BOX, size=size, pos=pos, rgba=rgba, group=VISIBLE)
+        geom = body.add_geom(name=f"{box.name}/{side}", type=_BOX, size=size, pos=pos, rgba=box.rgba, group=VISIBLE)
         _apply(geom, contact)
 
 
@@ -114,7 +126,7 @@ def _apply(geom: mujoco.MjsGeom, contact: ContactConfig) -> None:
 
 
 def parking_poses(num_parts: int) -> Floats:
-    """Return (N, 4, 4) world poses, a grid far below the table, where parts wait untouched and asleep."""
+    """Return (N, 4, 4) world poses in a grid far below the table, where parts out of play are kept."""
     i = np.arange(num_parts)
     poses = np.tile(np.eye(4), (num_parts, 1, 1))
     poses[:, 0, 3] = -3.0 - 0.25 * (i % 6)

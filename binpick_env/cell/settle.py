@@ -1,4 +1,4 @@
-"""Drop a pile of parts into the bin and let it come to rest."""
+"""Dropping parts into the bin until they have come to rest."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from binpick_env.cell.simulation import Simulation
 from perception.geometry import make_transform, random_rotation
 
-BATCH_PERIOD = 0.12  # between two releases [s]
-SETTLE_LIMIT = 6.0  # after the last release [s]
-ATTEMPTS = 5
+BATCH_PERIOD = 0.12  # time between two releases [s]
+SETTLE_LIMIT = 6.0  # longest time that a pile gets to come to rest after the last release [s]
+ATTEMPTS = 5  # number of piles that are tried
 
 
 class SettleError(RuntimeError):
@@ -16,13 +16,18 @@ class SettleError(RuntimeError):
 
 
 def drop_and_settle(simulation: Simulation, count: int, rng: np.random.Generator) -> None:
-    """Fill the bin with ``count`` parts, dropped in random attitudes, four at a time, until all of them sleep.
+    """Fill the bin with parts, dropped in random attitudes, four at a time, and wait until all of them sleep.
 
-    A part that comes to rest outside of the bin is dropped again; a pile that does not come to rest is redrawn.
+    A part that comes to rest outside of the bin is dropped again. A pile that does not come to rest is started anew.
+
+    Args:
+        simulation: Simulation, which is reset first.
+        count: Number of parts.
+        rng: Source of all random numbers.
 
     Raises:
         ValueError: ``count`` is not in 0..capacity.
-        SettleError: No pile in ``ATTEMPTS`` attempts; the bin is then too small for the parts.
+        SettleError: No pile came to rest in ``ATTEMPTS`` attempts: the bin is too small for the parts.
     """
     if not 0 <= count <= simulation.capacity:
         raise ValueError(f"count must be in 0..{simulation.capacity}, got {count}")
@@ -50,14 +55,14 @@ def inside_bin(simulation: Simulation) -> NDArray[np.bool_]:
 
 
 def _release(simulation: Simulation, parts: list[int], rng: np.random.Generator) -> None:
-    """Let go of ``parts`` in batches of one a quadrant, just above what already lies there."""
+    """Release parts in batches of up to four, one in each quadrant, just above the pile."""
     workspace = simulation.config.bin.workspace()
     reach = simulation.part.model.d_max / 2
     room = np.maximum(workspace.inner_size[:2] / 2 - 2 * reach, 0.0)
     spread = np.minimum(reach, workspace.inner_size[:2] / 2 - reach)
     for start in range(0, len(parts), 4):
         quadrants = rng.permutation(4)
-        middle = rng.triangular(-1.0, 0.0, 1.0, size=2) * 0.4 * room  # poured more towards the middle, as from a chute
+        middle = rng.triangular(-1.0, 0.0, 1.0, size=2) * 0.4 * room  # mostly near the middle, as from a chute
         top = _top(simulation)
         for i, quadrant in zip(parts[start : start + 4], quadrants, strict=False):
             signs = np.array([1 if quadrant & 1 else -1, 1 if quadrant & 2 else -1])
@@ -68,7 +73,7 @@ def _release(simulation: Simulation, parts: list[int], rng: np.random.Generator)
 
 
 def _top(simulation: Simulation) -> float:
-    """Return the height of the pile's highest possible point above the bin's floor [m]."""
+    """Return an upper bound of the pile's height above the bin's floor [m], at least the height of the rim."""
     workspace = simulation.config.bin.workspace()
     if not simulation.in_play.any():
         return float(workspace.inner_size[2])
@@ -77,7 +82,7 @@ def _top(simulation: Simulation) -> float:
 
 
 def _settle(simulation: Simulation) -> bool:
-    """Step until every part in play sleeps; False if that takes longer than ``SETTLE_LIMIT`` or a NaN appears."""
+    """Step until every part in play sleeps; return False after ``SETTLE_LIMIT``, or if the physics diverge."""
     for _ in range(round(SETTLE_LIMIT / 0.05)):
         simulation.advance(0.05)
         if not np.all(np.isfinite(simulation.data.qpos)):

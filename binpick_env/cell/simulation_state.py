@@ -1,4 +1,4 @@
-"""The state of the physics, to go back to, and the cell that it belongs to."""
+"""A saved state of the physics, and the cell that it belongs to."""
 
 import hashlib
 from dataclasses import dataclass, fields
@@ -13,14 +13,14 @@ from perception.geometry import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Origin:
-    """What a state belongs to.
+    """The cell that a state belongs to.
 
     Attributes:
-        part: Name.
-        parts: How many there is room for.
+        part: Name of the part.
+        parts: Number of copies of the part in the model.
         model: MuJoCo's signature of bodies, joints and geoms.
         shapes: Hash of sizes, meshes and masses.
-        config: Every setting.
+        config: Settings of the cell.
     """
 
     part: str
@@ -31,7 +31,7 @@ class Origin:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, config: CellConfig, part: str, parts: int) -> "Origin":
-        """Return what states of a model belong to."""
+        """Return the cell that states of a model belong to."""
         shapes = hashlib.sha256()
         for values in (model.geom_size, model.mesh_vert, model.body_mass, model.body_inertia):
             shapes.update(np.ascontiguousarray(values).tobytes())
@@ -39,10 +39,10 @@ class Origin:
         return cls(part=part, parts=parts, model=signature, shapes=shapes.hexdigest()[:12], config=config)
 
     def require(self, other: "Origin") -> None:
-        """Raise unless a state of ``other`` is one of this cell, too.
+        """Check that states of another cell are states of this one.
 
         Raises:
-            ValueError: It is not; the text names what differs.
+            ValueError: They are not; the text names what differs.
         """
         mine, theirs = self._facts(), other._facts()
         odd = [f"{name}: {theirs[name]} there, {mine[name]} here" for name in mine if mine[name] != theirs[name]]
@@ -56,15 +56,15 @@ class Origin:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SimulationSnapshot:
-    """State of a `binpick_env.cell.simulation.Simulation`; nothing changes it.
+    """State of a `binpick_env.cell.simulation.Simulation`.
 
     Attributes:
-        origin: What it is a state of.
-        data: The physics', with contacts and what the solver starts from.
-        in_play: (capacity,) mask.
+        origin: Cell that the state belongs to.
+        data: State of the physics, with contacts and the solver's warm start.
+        in_play: (capacity,) mask of the parts in play.
         target: (6,) last joint targets [rad].
-        target_before: (6,) those before.
-        gripper_target: 0 open to 1 closed.
+        target_before: (6,) joint targets before the last ones [rad].
+        gripper_target: Last gripper command, 0 open to 1 closed.
     """
 
     origin: Origin
@@ -75,5 +75,5 @@ class SimulationSnapshot:
     gripper_target: float
 
     def __reduce__(self) -> str:
-        """Refuse to be copied or sent: MuJoCo's own pickling forgets who sleeps."""
+        """Refuse copying and pickling: MuJoCo's own pickling loses which bodies sleep."""
         raise TypeError("a snapshot belongs to the process that took it: it can be neither copied nor pickled")

@@ -1,4 +1,4 @@
-"""The parts: a catalogue drawn in code, and any mesh file through the same door."""
+"""Parts: a catalogue drawn in code, and mesh files; unit, symmetry and convex pieces of their meshes."""
 
 import lazy_loader as lazy
 

@@ -15,22 +15,23 @@ from numpy.typing import ArrayLike
 from perception.geometry import Floats, make_transform, rotation_about
 from perception.part import Symmetry
 
-FACETS = 64  # of a full turn in the mesh: within 0.05 mm of a circle of 40 mm; a multiple of 4, for exact half turns
-PIECE_FACETS = 32  # in the collision pieces: within 0.2 mm at 40 mm, and 64 vertices a cylinder
+# Facets of a full turn in the mesh: within 0.05 mm of a circle of 40 mm; a multiple of 4, for exact half turns.
+FACETS = 64
+PIECE_FACETS = 32  # facets of a full turn in the collision pieces: within 0.2 mm at 40 mm, and 64 vertices a cylinder
 X, Y, Z = np.eye(3)
 Solids = tuple[trimesh.Trimesh, ...]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Design:
-    """A catalogue part as drawn.
+    """A part as drawn, or as read from a file.
 
     Attributes:
-        name: Catalogue name.
+        name: Name of the part.
         mesh: Watertight mesh in the part frame [m].
-        pieces: Convex bodies in the part frame [m]; together they are the mesh with its bores filled.
-        density: Of the material [kg/m^3].
-        symmetry: Declared group about the origin.
+        pieces: Convex bodies in the part frame [m]; those of a catalogue part are the mesh with its bores filled.
+        density: Density of the material [kg/m^3].
+        symmetry: Symmetry group about the origin, declared or detected.
     """
 
     name: str

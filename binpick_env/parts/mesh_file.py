@@ -11,9 +11,9 @@ from perception.part import diameter
 
 log = logging.getLogger(__name__)
 SUFFIXES = (".stl", ".obj", ".ply")
-PLAUSIBLE = (0.01, 0.25)  # d_max of a part when the unit is guessed [m]
-D_MAX = (0.02, 0.2)  # d_max accepted [m]: below, the camera sees too few points; above, no bin of the cell holds a pile
-MAX_FACES = 200_000  # beyond, ray casting and the symmetry search take minutes
+PLAUSIBLE = (0.01, 0.25)  # range of d_max in which a guessed unit must put a part [m]
+D_MAX = (0.02, 0.2)  # range of d_max [m]: below, the camera sees too few points; above, no bin of the cell holds a pile
+MAX_FACES = 200_000  # largest number of faces; with more, ray casting and the symmetry search take minutes
 JAW = 0.075  # widest side that the 2F-85 closes on [m]: 85 mm less 5 mm on each side for the pose's error
 
 
@@ -22,15 +22,15 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
 
     Args:
         path: STL, OBJ or PLY file.
-        unit: Of its coordinates; None takes metres if ``d_max`` is then 0.01 to 0.25 m, else millimetres likewise.
+        unit: Unit of the file's coordinates. None takes metres, else millimetres, if ``d_max`` is then 0.01 to 0.25 m.
 
     Returns:
-        The mesh, repaired where merging vertices, filling small holes and turning normals was enough;
-        its metadata's ``unit`` is the one that was read.
+        The mesh, repaired where merging vertices, filling small holes and turning normals is enough; ``unit`` in its
+        metadata is the unit of the file.
 
     Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, is empty, open, too large, too small or too fine, or if its unit is unclear.
+        FileNotFoundError: There is no such file.
+        ValueError: The file cannot be read, is empty, open, too large, too small or too fine, or its unit is unclear.
     """
     mesh = _parse(path)
     size = diameter(mesh.vertices)
@@ -80,7 +80,7 @@ def _parse(path: Path) -> trimesh.Trimesh:
 
 
 def _guessed_unit(path: Path, size: float) -> str:
-    """Return the file's unit: a file names none, and a part's size leaves little doubt."""
+    """Return the unit that gives the part a plausible size; mesh files name none."""
     for unit in ("m", "mm"):
         if PLAUSIBLE[0] <= size * METRES[unit] <= PLAUSIBLE[1]:
             if unit == "mm":

@@ -1,6 +1,6 @@
-"""One door for every part: a catalogue name, or a mesh file."""
+"""Parts as the simulation needs them, loaded by catalogue name or from a mesh file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import trimesh
 
-from binpick_env.parts.catalogue import CATALOGUE, design
+from binpick_env.parts.catalogue import CATALOGUE, Design, design
 from binpick_env.parts.density import FILE_DENSITY, check_density
 from binpick_env.parts.mesh_file import read_mesh
 from binpick_env.parts.pieces import convex_pieces
@@ -22,16 +22,16 @@ SymmetryChoice = Symmetry | Literal["detect", "none"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Part:
-    """A part as the simulation needs it. Shared between callers, so its meshes are immutable: change a copy.
+    """A part as the simulation needs it. It is shared between callers, so its meshes are immutable: change a copy.
 
     Attributes:
-        model: What perception may know: mesh, ``d_max``, symmetry, centre.
+        model: Mesh, ``d_max``, symmetry and centre, which perception may know.
         pieces: Convex collision meshes, part frame [m].
-        density: [kg/m^3].
-        mass: [kg].
-        inertia: (3, 3) about ``model.centre`` in part axes [kg m^2].
-        source: Catalogue name, or the file's absolute path.
-        unit: Of the file's coordinates, given or guessed; "m" for a catalogue part.
+        density: Density of the material [kg/m^3].
+        mass: Mass [kg].
+        inertia: (3, 3) inertia tensor about ``model.centre``, part axes [kg m^2].
+        source: Catalogue name, or absolute path of the file.
+        unit: Unit of the file's coordinates, given or guessed; "m" for a catalogue part.
     """
 
     model: PartModel
@@ -55,20 +55,21 @@ def load_part(
     The part frame keeps the axes of the drawing; its origin is moved to the volume's centroid.
 
     Args:
-        name_or_path: One of ``CATALOGUE``, or a path.
-        unit: Of a file's coordinates. None takes metres or millimetres, whichever is plausible for a part.
-        symmetry: "detect" measures a file's group (a catalogue part's is declared); "none" is the trivial group.
-        density: [kg/m^3]; None takes the catalogue's, or 2700 (aluminium) for a file.
+        name_or_path: One of ``CATALOGUE``, or a path to a mesh file.
+        unit: Unit of a file's coordinates. None takes metres or millimetres, whichever is plausible for a part.
+        symmetry: "detect" measures the group of a file's mesh (a catalogue part's is declared); "none" is the trivial
+            group.
+        density: Density of the material [kg/m^3]; None takes the catalogue's, or 2700 (aluminium) for a file.
 
     Returns:
         The part; catalogue parts are built once per process.
 
     Raises:
-        ValueError: For an unknown name, a file that is no watertight mesh of a part's size, or a bad argument.
-        FileNotFoundError: If the path does not exist.
+        ValueError: The name is unknown, the file is no watertight mesh of a part's size, or an argument is invalid.
+        FileNotFoundError: The path does not exist.
 
     Note:
-        A catalogue part takes 0.1 s. A file takes seconds at first, for its pieces; they are cached on disk.
+        A catalogue part takes 0.1 s. A file takes seconds the first time, for its pieces, which are cached on disk.
     """
     name = str(name_or_path)
     if unit is not None:
@@ -107,37 +108,32 @@ def resolve_part(part: str | Path | Part, unit: Unit | None, symmetry: SymmetryC
 @lru_cache(maxsize=32)
 def _catalogue_part(name: str, symmetry: SymmetryChoice, density: float | None) -> Part:
     drawn = design(name)
-    group = drawn.symmetry if symmetry == "detect" else symmetry
-    return _assemble(name, drawn.mesh, drawn.pieces, group, density or drawn.density, source=name)
+    group = drawn.symmetry if symmetry == "detect" else _group(symmetry)
+    return _assemble(replace(drawn, symmetry=group, density=density or drawn.density), source=name)
 
 
 def _file_part(path: Path, unit: Unit | None, symmetry: SymmetryChoice, density: float) -> Part:
     mesh = read_mesh(path, unit)
     unit_read = str(mesh.metadata["unit"])
     mesh.apply_translation(-mesh.center_mass)
-    group = detect_symmetry(mesh) if symmetry == "detect" else symmetry
-    return _assemble(path.stem, mesh, convex_pieces(mesh), group, density, source=str(path.resolve()), unit=unit_read)
+    group = detect_symmetry(mesh) if symmetry == "detect" else _group(symmetry)
+    drawn = Design(name=path.stem, mesh=mesh, pieces=convex_pieces(mesh), density=density, symmetry=group)
+    return _assemble(drawn, source=str(path.resolve()), unit=unit_read)
 
 
-def _assemble(
-    name: str,
-    mesh: trimesh.Trimesh,
-    pieces: tuple[trimesh.Trimesh, ...],
-    symmetry: SymmetryChoice,
-    density: float,
-    *,
-    source: str,
-    unit: str = "m",
-) -> Part:
-    group = symmetry if isinstance(symmetry, Symmetry) else Symmetry()
-    for shared in (mesh, *pieces):
+def _group(symmetry: SymmetryChoice) -> Symmetry:
+    return symmetry if isinstance(symmetry, Symmetry) else Symmetry()
+
+
+def _assemble(drawn: Design, *, source: str, unit: str = "m") -> Part:
+    for shared in (drawn.mesh, *drawn.pieces):
         shared.mutable = False
     return Part(
-        model=PartModel.from_mesh(name, mesh, group),
-        pieces=pieces,
-        density=density,
-        mass=float(mesh.volume * density),
-        inertia=np.asarray(mesh.moment_inertia, dtype=np.float64) * density,
+        model=PartModel.from_mesh(drawn.name, drawn.mesh, drawn.symmetry),
+        pieces=drawn.pieces,
+        density=drawn.density,
+        mass=float(drawn.mesh.volume * drawn.density),
+        inertia=np.asarray(drawn.mesh.moment_inertia, dtype=np.float64) * drawn.density,
         source=source,
         unit=unit,
     )

@@ -24,14 +24,14 @@ Pieces = tuple[trimesh.Trimesh, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class PieceSettings:
-    """How finely a mesh is cut. Every contact pair costs time, 25 parts times: few pieces are worth some accuracy."""
+    """How finely a mesh is cut. Every contact pair costs time for each of 25 parts: a few coarse pieces pay off."""
 
     threshold: float = 0.08  # concavity left in a piece, CoACD's measure on the mesh scaled to [-1, 1]
-    max_pieces: int = 16  # CoACD merges pieces down to this many
-    max_vertices: int = 64  # of one piece's hull
-    iterations: int = 60  # of the tree search for each cut; CoACD's own 150 took twice as long for the same pieces
+    max_pieces: int = 16  # largest number of pieces, to which CoACD merges them
+    max_vertices: int = 64  # largest number of vertices of a piece's hull
+    iterations: int = 60  # iterations of the tree search for each cut; CoACD's own 150 took twice as long, no better
     resolution: int = 1000  # surface samples of the concavity measure
-    seed: int = 0
+    seed: int = 0  # seed of CoACD
 
     def __post_init__(self) -> None:
         if not 0.01 <= self.threshold <= 1:
@@ -52,7 +52,7 @@ def convex_pieces(mesh: trimesh.Trimesh, settings: PieceSettings | None = None) 
         Convex watertight meshes in the same frame, largest first.
 
     Raises:
-        ValueError: If CoACD finds no piece.
+        ValueError: CoACD finds no piece.
 
     Note:
         Deterministic. The first call for a mesh takes seconds (a hollow pipe: half a minute), later ones milliseconds.

@@ -1,4 +1,4 @@
-"""How far points lie from a mesh's surface, and a turned mesh from itself."""
+"""Distances from points to the surface of a mesh, and from a turned mesh to itself."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,20 +10,20 @@ from scipy.spatial import cKDTree
 
 from perception.geometry import Floats
 
-FEW, MANY = 8, 48  # nearest look-up samples whose faces are measured, at first and where it matters
+FEW, MANY = 8, 48  # number of nearest samples whose faces are measured, at first and where it matters
 _closest_point: Callable[[Floats, Floats], Floats] = trimesh.triangles.closest_point  # untyped there
 
 
 class SurfaceProbe:
     """Distances from points to a mesh's surface, prepared for many queries.
 
-    Every face carries look-up samples about ``d_max / 100`` apart. The candidate triangles of a point are those of its
-    nearest samples and the distance to them is exact: never too small, and too large only where thin faces crowd the
-    nearest few, which is why every decision looks again at the largest distances among many more.
+    Every face carries samples about ``d_max / 100`` apart. A point is measured exactly against the faces of its nearest
+    samples. The result is never too small, and too large only where many thin faces are near. The largest distances are
+    therefore measured again, against more faces, before anything is decided.
     """
 
     def __init__(self, mesh: trimesh.Trimesh, *, samples: int = 2000) -> None:
-        """Prepare the look-up, and ``samples`` points (and at most as many vertices) to move; the seed is fixed."""
+        """Prepare the search tree, and up to ``samples`` surface points and as many vertices to be turned; seeded."""
         rng = np.random.default_rng(0)
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         spread = trimesh.sample.sample_surface(mesh, samples, seed=0)[0]
@@ -31,11 +31,11 @@ class SurfaceProbe:
         self.points = rng.permutation(self.points)
         self._triangles: Floats = np.asarray(mesh.triangles, dtype=np.float64)
         self._spacing = float(np.linalg.norm(mesh.extents)) / 100
-        look_up, self._face_of = _face_samples(self._triangles, self._spacing)
-        self._tree = cKDTree(look_up)
+        on_faces, self._face_of = _face_samples(self._triangles, self._spacing)
+        self._tree = cKDTree(on_faces)
 
     def rough_distance(self, points: Floats) -> Floats:
-        """Return the (N,) distances [m] of (N, 3) points to the nearest look-up sample: an upper bound."""
+        """Return the (N,) distances of (N, 3) points to the nearest sample [m]: upper bounds to the surface."""
         return np.asarray(self._tree.query(points)[0])
 
     def distance(self, points: Floats, *, neighbours: int = MANY) -> Floats:
@@ -48,21 +48,22 @@ class SurfaceProbe:
         return gaps
 
     def turned(self, rotation: Floats, centre: Floats, *, stride: int = 1) -> Floats:
-        """Return every ``stride``-th point turned about ``centre``, forth and back.
+        """Return every ``stride``-th point turned about ``centre``, by the rotation and by its inverse.
 
-        Points turned back lie to the still surface as the still points to the turned surface: both directions in one.
+        A point turned by the inverse is as far from the surface as the point itself from the turned surface. Together
+        they give the distances in both directions.
         """
         arms = self.points[::stride] - centre
         return np.concatenate([arms @ rotation.T, arms @ rotation]) + centre
 
     def error(self, rotation: Floats, centre: Floats) -> float:
-        """Return the largest distance [m] between the surface and itself turned about ``centre``, seen from both."""
+        """Return the two-sided Hausdorff distance [m] between the surface and itself turned about ``centre``."""
         points = self.turned(rotation, centre)
         few = self.distance(points, neighbours=FEW)
         order = np.argsort(-few)
         largest = 0.0
         for block in np.array_split(order, max(1, len(order) // 200)):
-            # The first look never comes out too small, so what it puts below the largest so far needs no second.
+            # Never too small, so a distance below the largest so far need not be measured again.
             doubtful = block[few[block] > largest]
             if len(doubtful) == 0:
                 break
@@ -74,8 +75,8 @@ class SurfaceProbe:
         if self.rough_distance(self.turned(rotation, centre, stride=20)).max() > tolerance + 3 * self._spacing:
             return False
         points = self.turned(rotation, centre)
-        for look in (self.rough_distance, partial(self.distance, neighbours=FEW), self.distance):
-            points = points[look(points) > tolerance]
+        for distance in (self.rough_distance, partial(self.distance, neighbours=FEW), self.distance):
+            points = points[distance(points) > tolerance]
             if len(points) == 0:
                 return True
         return False

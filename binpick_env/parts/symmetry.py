@@ -1,7 +1,7 @@
-"""Which rotations map a part's surface onto itself: measured, and found.
+"""Detection of the rotations that map a part's surface onto itself.
 
-A rotation counts as a symmetry when no point of the surface moves further than the tolerance away from the surface. The
-largest distance decides and not a mean or a percentile: a 5 mm hole is 0.5 % of a part's area and yet gives it away.
+A rotation is a symmetry when it moves no point of the surface further than the tolerance away from the surface. The
+largest distance decides, not a mean or a percentile: a 5 mm hole is 0.5 % of a part's area and yet breaks a symmetry.
 """
 
 import logging
@@ -16,18 +16,18 @@ from perception.geometry import Floats, require_shape, rotation_about, rotation_
 from perception.part import Symmetry, diameter
 
 log = logging.getLogger(__name__)
-MAX_ORDER = 12  # finer discrete turns move so little that a part counts as round, or as not symmetric
-INERTIA_TOLERANCE = 0.02  # relative; moments closer than this may belong to a degenerate pair
+MAX_ORDER = 12  # largest order of a discrete axis; beyond, a part counts as round or as not symmetric
+INERTIA_TOLERANCE = 0.02  # relative difference below which two moments of inertia may be equal
 SAME_ROTATION = np.deg2rad(2.0)  # group elements closer than this are one; the smallest group step is 30 deg
-MAX_ELEMENTS = 60  # the rotation group of an icosahedron, the largest of the finite ones but for prisms
+MAX_ELEMENTS = 60  # largest group: the icosahedron's; only prisms of higher order would have more
 
 
 @dataclass(frozen=True, kw_only=True)
 class SymmetrySettings:
-    """How closely a rotated surface must fit to count."""
+    """How closely a rotated surface must coincide with itself."""
 
-    tolerance: float = 0.005  # of d_max; 0.4 mm at 80 mm, about what a structured-light camera resolves at 0.9 m
-    samples: int = 2000  # points on the surface that are rotated and measured
+    tolerance: float = 0.005  # largest deviation [d_max]: 0.4 mm at 80 mm, about what the camera resolves at 0.9 m
+    samples: int = 2000  # number of surface points that are rotated and measured
 
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 0.1:
@@ -37,18 +37,18 @@ class SymmetrySettings:
 
 
 def symmetry_error(mesh: trimesh.Trimesh, rotation: Floats, centre: Floats) -> float:
-    """Return how far ``mesh`` turned by ``rotation`` about ``centre`` departs from itself [m].
+    """Return how far a mesh, turned about a point, deviates from itself [m].
 
     Args:
         mesh: Watertight mesh, part frame [m].
-        rotation: (3, 3) in part axes.
-        centre: (3,) fixed point, part frame [m].
+        rotation: (3, 3) rotation, part axes.
+        centre: (3,) fixed point of the rotation, part frame [m].
 
     Returns:
         The two-sided Hausdorff distance over some 2000 surface samples and at most as many vertices.
 
     Note:
-        Deterministic, some 50 ms; keep a :class:`SurfaceProbe` for many rotations.
+        Deterministic; some 50 ms. Use one :class:`SurfaceProbe` for many rotations.
     """
     require_shape("rotation", np.asarray(rotation), (3, 3))
     require_shape("centre", np.asarray(centre), (3,))
@@ -58,8 +58,8 @@ def symmetry_error(mesh: trimesh.Trimesh, rotation: Floats, centre: Floats) -> f
 def detect_symmetry(mesh: trimesh.Trimesh, settings: SymmetrySettings | None = None) -> Symmetry:
     """Find the group of proper rotations about the volume's centroid that map the surface onto itself.
 
-    Every symmetry's axis is a principal axis of inertia. Where the moments differ these are three lines; where two
-    agree they may lie anywhere in a plane, and where three agree anywhere: there candidates are swept and refined.
+    Every symmetry axis is a principal axis of inertia. These are three lines where the moments differ. Where two
+    moments agree, axes may lie anywhere in a plane; where three agree, anywhere. Candidates are then swept and refined.
 
     Args:
         mesh: Watertight mesh, part frame [m].
@@ -69,7 +69,7 @@ def detect_symmetry(mesh: trimesh.Trimesh, settings: SymmetrySettings | None = N
         The group: trivial, cyclic, dihedral (orders 2 to 12), polyhedral, or a continuous axis with or without a flip.
 
     Raises:
-        ValueError: For a sphere, whose orientation has no meaning.
+        ValueError: The part is a sphere, whose orientation has no meaning.
 
     Note:
         Deterministic; 0.1 to 5 s, the longest for a cube's equal moments.
