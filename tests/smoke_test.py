@@ -1,10 +1,12 @@
 """What an installed wheel must be able to do, on its own.
 
-Run from any directory, without pytest: ``PYTHONPATH=WHERE_THE_WHEEL_IS python -P smoke_test.py WHERE_THE_WHEEL_IS``.
+Run from an empty directory, without pytest:
+``PYTHONPATH=WHERE_THE_WHEEL_IS python -P smoke_test.py WHERE_THE_WHEEL_IS``.
 """
 
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 PACKAGES = ("binpick_env", "perception", "policies")
@@ -24,6 +26,21 @@ def check_packages(where: Path) -> None:
         origin = Path(str(module.__file__)).resolve()
         assert origin.is_relative_to(where), f"{name} comes from {origin}, not from {where}"
         assert (origin.parent / "py.typed").is_file(), f"{name} ships no py.typed"
+
+
+def check_command(where: Path) -> None:
+    """Call the command that came with the wheel, in the folder this is run in, which is empty."""
+
+    def binpick(*arguments: str) -> str:
+        command = [sys.executable, str(where / "bin" / "binpick"), *arguments]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+    commands = [line.split()[0] for line in binpick().splitlines() if line.startswith("  ")]
+    assert {"pick", "generate-scenes", "train-segmentation", "evaluate-pose", "bench"} <= set(commands), commands
+    assert binpick("--version") == f"binpick {version('binpick')}\n"
+    small = ("--min-parts", "2", "--max-parts", "2", "--width", "320", "--height", "240")
+    assert binpick("generate-scenes", "--count", "1", *small) == "1 scenes in runs/scenes-tee-0\n"
+    assert Path("runs/scenes-tee-0/scene_00000.npz").exists()
 
 
 def check_environment() -> None:
@@ -47,6 +64,7 @@ def main() -> None:
     where = Path(sys.argv[1]).resolve()
     subprocess.run([sys.executable, "-P", "-c", IMPORT_TIME], check=True)
     check_packages(where)
+    check_command(where)
     check_environment()
     print("smoke test passed")
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from binpick_env.camera.depth_camera import DepthCamera
 from binpick_env.cell.settle import drop_and_settle
-from binpick_env.config import CONTROL_PERIOD, Backend
+from binpick_env.config import CONTROL_PERIOD, Backend, SensorPreset
 from binpick_env.env import BinPickEnv
+from binpick_env.options import CellOptions
 from perception.runtime.threads import one_core
 from policies.benchmarks.measurement import Measurement, repeat, seconds
 from policies.picking.scripted import ScriptedPicker
@@ -23,11 +24,11 @@ STEPS = 50  # steps per sample of the resting cell: 2 s of simulated time
 _BACKENDS: tuple[Backend, ...] = get_args(Backend)
 
 
-def bench_cell(part: str, count: int, seed: int, repeats: int, picks: int) -> Iterator[Measurement]:
-    """Measure the cell with ``count`` copies of ``part``; a row comes as soon as it is measured.
+def bench_cell(options: CellOptions, count: int, seed: int, repeats: int, picks: int) -> Iterator[Measurement]:
+    """Measure the cell with ``count`` parts; a row comes as soon as it is measured.
 
     Args:
-        part: Catalogue name, or path to a mesh file.
+        options: Part, bin, camera, sensor and friction.
         count: Number of parts in the bin.
         seed: Seed of the first pile; pile k of a repeated measurement has seed + k.
         repeats: Number of samples in each row, except those of picking.
@@ -39,17 +40,24 @@ def bench_cell(part: str, count: int, seed: int, repeats: int, picks: int) -> It
     if repeats < 1 or picks < 1:
         raise ValueError(f"repeats and picks must be at least 1, got {repeats} and {picks}")
     with one_core():
-        yield from _rows(part, count, seed, repeats, picks)
+        yield from _rows(options, count, seed, repeats, picks)
 
 
-def _rows(part: str, count: int, seed: int, repeats: int, picks: int) -> Iterator[Measurement]:
-    env = BinPickEnv(part=part, num_parts=count, perception="oracle", threads=1)
+def _rows(options: CellOptions, count: int, seed: int, repeats: int, picks: int) -> Iterator[Measurement]:
+    env = BinPickEnv(
+        options.load_part(),
+        num_parts=count,
+        perception="oracle",
+        sensor=options.sensor,
+        config=options.cell(),
+        threads=1,
+    )
     try:
         yield repeat("drop and settle", "s", lambda k: _settle_seconds(env, count, seed + k), repeats)
         env.reset(seed=seed)
         yield repeat("steps of 0.04 s, pile asleep", "1/s", lambda _: _resting_steps(env), repeats)
         for backend in _BACKENDS:
-            yield from _camera(env, backend, repeats)
+            yield from _camera(env, backend, options.sensor, repeats)
         yield from _picking(env, seed, picks)
     finally:
         env.close()
@@ -70,7 +78,7 @@ def _resting_steps(env: BinPickEnv) -> float:
     return STEPS / seconds(hold)
 
 
-def _camera(env: BinPickEnv, backend: Backend, repeats: int) -> Iterator[Measurement]:
+def _camera(env: BinPickEnv, backend: Backend, sensor: SensorPreset, repeats: int) -> Iterator[Measurement]:
     """Measure one backend; without a GL driver there is no row for "egl"."""
     simulation = env.simulation
     config = replace(env.config.camera, backend=backend)
@@ -78,7 +86,7 @@ def _camera(env: BinPickEnv, backend: Backend, repeats: int) -> Iterator[Measure
     camera: DepthCamera | None = None
     try:
         camera = DepthCamera(simulation.model, config, env.workspace, simulation.part_of_geom, threads=1)
-        camera.capture(simulation.data, rng, "good")  # compiles kernels; a missing driver shows only here
+        camera.capture(simulation.data, rng, sensor)  # compiles kernels; a missing driver shows only here
     except (RuntimeError, ImportError) as error:
         if camera is not None:
             camera.close()
@@ -86,7 +94,7 @@ def _camera(env: BinPickEnv, backend: Backend, repeats: int) -> Iterator[Measure
             raise
         _log.warning("there is no row for %r: %s", backend, error)
         return
-    capture = partial(camera.capture, simulation.data, rng, "good")
+    capture = partial(camera.capture, simulation.data, rng, sensor)
     try:
         name = f"camera frame {config.width} x {config.height}, {backend}"
         yield repeat(name, "s", lambda _: seconds(capture), repeats)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from binpick_env.jobs.text_tables import columns, number, percent
-from binpick_env.parts import load_part
+from binpick_env.scenes.synthesis import SceneConfig
 from perception.geometry import Floats
 from perception.metrics.pose_errors import recognition_distances
 from perception.metrics.pose_recognition import judge_poses
@@ -64,8 +64,7 @@ class PoseRow(Measurement):
 
 
 def bench_pose(
-    part: str,
-    seed: int,
+    config: SceneConfig,
     count: int,
     whole_scenes: int,
     interpreters: Mapping[str, Path | None],
@@ -74,8 +73,7 @@ def bench_pose(
     """Measure our method and every peer that has an interpreter, with one thread and with two.
 
     Args:
-        part: Catalogue name, or path to a mesh file.
-        seed: Seed of the scenes.
+        config: Part and its scenes.
         count: Number of scenes, each of three segments.
         whole_scenes: Number of scenes that are also searched as a whole.
         interpreters: Python interpreter of each family of peers; families without one are left out, with a warning.
@@ -88,12 +86,12 @@ def bench_pose(
         ValueError: There is no such part, or a number is out of range.
         RuntimeError: A peer failed.
     """
-    model = load_part(part).model
+    model = config.options().load_part().model
     peers = available(peers, interpreters)
-    scenes, cases = pose_cases(part, seed, count, whole_scenes)
+    scenes, cases = pose_cases(config, count, whole_scenes)
     points, segments = model_points(model), [case for case in cases if case.instance is not None]
     for threads in THREADS:
-        yield from pose_rows(OURS, threads, cases, run_ours(part, scenes, cases, threads), model)
+        yield from pose_rows(OURS, threads, cases, run_ours(config.options(), scenes, cases, threads), model)
         for peer in peers:
             given = cases if peer.whole_scenes else segments
             python = interpreters[peer.family]

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from binpick_env.config import CellConfig
 from binpick_env.scenes.synthesis import CapturedScene, SceneConfig, make_scene
 from binpick_env.scenes.whole_part import whole_part_points
 from perception.boundary import BoundaryCloud, BoundarySettings
-from perception.frame import Frame
+from perception.frame import Frame, Workspace
 from perception.geometry import Floats, deproject_depth, require_shape, transform_points
 from perception.instance import Instance
 from perception.metrics.pose_recognition import visible_enough
@@ -67,7 +66,7 @@ def model_points(part: PartModel) -> Floats:
     return np.hstack([model.points, model.normals])
 
 
-def pose_cases(part: str, seed: int, count: int, whole_scenes: int) -> tuple[list[SceneInput], list[PoseCase]]:
+def pose_cases(config: SceneConfig, count: int, whole_scenes: int) -> tuple[list[SceneInput], list[PoseCase]]:
     """Return ``count`` scenes and the cases in them: all segments, then the first scenes as a whole.
 
     The segments are the true ones of a recognition trial: the three of each scene whose sizes are nearest to P. For the
@@ -75,8 +74,7 @@ def pose_cases(part: str, seed: int, count: int, whole_scenes: int) -> tuple[lis
     is given only the boundary points among them.
 
     Args:
-        part: Catalogue name, or path to a mesh file.
-        seed: Seed of the scenes.
+        config: Part and its scenes.
         count: Number of scenes.
         whole_scenes: Number of scenes that are also searched as a whole.
 
@@ -85,15 +83,14 @@ def pose_cases(part: str, seed: int, count: int, whole_scenes: int) -> tuple[lis
     """
     if count < 1 or not 0 <= whole_scenes <= count:
         raise ValueError(f"count must be at least 1 and whole_scenes from 0 to it, got {count} and {whole_scenes}")
-    config = SceneConfig(part=part, seed=seed)
-    expected = whole_part_points(part, None, config.camera)
+    expected = whole_part_points(config.part, config.unit, config.camera)
     scenes, segments, wholes = [], [], []
     for k in range(count):
         made = make_scene(config, k)
         scenes.append(SceneInput(boundary=made.scene.boundary, frame=made.capture.frame))
         segments += segment_cases(made, k, expected)
         if k < whole_scenes:
-            wholes.append(whole_case(made, k))
+            wholes.append(whole_case(made, k, config.cell().bin.workspace()))
     return scenes, segments + wholes
 
 
@@ -127,15 +124,13 @@ def segment_cases(made: CapturedScene, index: int, expected: float) -> list[Pose
     ]
 
 
-def whole_case(made: CapturedScene, index: int) -> PoseCase:
+def whole_case(made: CapturedScene, index: int, workspace: Workspace) -> PoseCase:
     """Return the case of a whole bin without the container; a method may return one pose per part in the bin."""
     scene, frame = made.scene, made.capture.frame
     points = deproject_depth(frame.K, frame.depth)[frame.valid]
     limits = BoundarySettings()
-    inside = (
-        CellConfig()
-        .bin.workspace()
-        .contains(transform_points(frame.T_world_cam, points), margin=limits.margin, headroom=limits.headroom)
+    inside = workspace.contains(
+        transform_points(frame.T_world_cam, points), margin=limits.margin, headroom=limits.headroom
     )
     return PoseCase(
         scene=index,

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import cv2
 import numpy as np
 
-from binpick_env.parts import load_part
+from binpick_env.options import CellOptions
 from perception.pose.estimator import PoseEstimator
 from perception.pose.pose_estimate import PoseEstimate
 from policies.benchmarks.peers.worker import pin
@@ -18,11 +18,11 @@ from policies.benchmarks.pose_peer_inputs import PoseCase, SceneInput
 from policies.benchmarks.pose_peers import Answers, thread_variables
 
 
-def run_ours(part: str, scenes: Sequence[SceneInput], cases: Sequence[PoseCase], threads: int) -> Answers:
+def run_ours(options: CellOptions, scenes: Sequence[SceneInput], cases: Sequence[PoseCase], threads: int) -> Answers:
     """Run `PoseEstimator` on the cases in a new process.
 
     Args:
-        part: Catalogue name, or path to a mesh file.
+        options: The part.
         scenes: Scenes that the cases refer to.
         cases: Searches, at least one.
         threads: Number of threads that the process may use.
@@ -35,14 +35,14 @@ def run_ours(part: str, scenes: Sequence[SceneInput], cases: Sequence[PoseCase],
     with _variables(thread_variables(threads)):
         executor = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
         with executor:
-            return executor.submit(_answer, part, scenes, cases, threads).result()
+            return executor.submit(_answer, options, scenes, cases, threads).result()
 
 
-def _answer(part: str, scenes: Sequence[SceneInput], cases: Sequence[PoseCase], threads: int) -> Answers:
+def _answer(options: CellOptions, scenes: Sequence[SceneInput], cases: Sequence[PoseCase], threads: int) -> Answers:
     pin(threads)
     cv2.setNumThreads(threads)
     start = time.perf_counter()
-    estimator = PoseEstimator(load_part(part).model)
+    estimator = PoseEstimator(options.load_part().model)
     return answer(estimator, scenes, cases, time.perf_counter() - start)
 
 

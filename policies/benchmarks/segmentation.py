@@ -6,7 +6,6 @@ from functools import partial
 
 import torch
 
-from binpick_env.config import CellConfig
 from binpick_env.scenes.synthesis import SceneConfig, make_scene
 from perception.boundary import extract_boundary
 from perception.runtime.threads import one_core
@@ -22,12 +21,11 @@ from policies.benchmarks.measurement import Measurement, repeat, seconds
 CLOUDS, POINTS = 4, 1024  # clouds per training step and points per cloud, the same in every row
 
 
-def bench_segmentation(part: str, seed: int, repeats: int, threads: int) -> Iterator[Measurement]:
+def bench_segmentation(config: SceneConfig, repeats: int, threads: int) -> Iterator[Measurement]:
     """Measure segmentation; scenes are made on one core. Each row is yielded as it is measured.
 
     Args:
-        part: Catalogue name, or path to a mesh file, of a part with weights.
-        seed: Seed of the scenes.
+        config: Scenes of a part with weights.
         repeats: Number of samples in each row.
         threads: Number of torch's threads.
 
@@ -37,22 +35,21 @@ def bench_segmentation(part: str, seed: int, repeats: int, threads: int) -> Iter
     """
     if repeats < 1 or threads < 1:
         raise ValueError(f"repeats and threads must be at least 1, got {repeats} and {threads}")
-    predictor = SegmentationPredictor.for_part(part, device="cpu")
+    predictor = SegmentationPredictor.for_part(config.part, device="cpu")
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
-        yield from _frame(part, seed, repeats, predictor)
-        yield from _training(part, seed, repeats)
+        yield from _frame(config, repeats, predictor)
+        yield from _training(config, repeats)
     finally:
         torch.set_num_threads(before)
 
 
-def _frame(part: str, seed: int, repeats: int, predictor: SegmentationPredictor) -> Iterator[Measurement]:
-    config = SceneConfig(part=part, seed=seed)
+def _frame(config: SceneConfig, repeats: int, predictor: SegmentationPredictor) -> Iterator[Measurement]:
     with one_core():
         scene, capture = make_scene(config, 0)
         yield repeat("labelled scene, made", "s", lambda k: seconds(lambda: make_scene(config, 1 + k)), repeats)
-    workspace, frame = CellConfig().bin.workspace(), capture.frame
+    workspace, frame = config.cell().bin.workspace(), capture.frame
     bound = partial(extract_boundary, frame, workspace)
     cells = partial(coarse_surface, frame, workspace, scene.d_max)
     describe = partial(predictor.describe, scene.boundary, scene.surface, scene.d_max)
@@ -81,11 +78,11 @@ def _clouds_a_second(steps: Iterator[StepRecord], _: int) -> float:
     return CLOUDS / seconds(lambda: next(steps))
 
 
-def _training(part: str, seed: int, repeats: int) -> Iterator[Measurement]:
-    scenes = [PackedScene.pack(make_scene(SceneConfig(part=part, seed=seed), k).scene) for k in range(2)]
-    for name, config in training_rows().items():
-        batches = BatchMaker.of(config, scenes)
-        trainer = Trainer(config, batches, Length(steps=repeats + 1))
+def _training(config: SceneConfig, repeats: int) -> Iterator[Measurement]:
+    scenes = [PackedScene.pack(make_scene(config, k).scene) for k in range(2)]
+    for name, training in training_rows().items():
+        batches = BatchMaker.of(training, scenes)
+        trainer = Trainer(training, batches, Length(steps=repeats + 1))
         steps = trainer.run()
         next(steps)  # compiles, allocates
         yield repeat(f"training, {name}", "clouds/s", partial(_clouds_a_second, steps), repeats)

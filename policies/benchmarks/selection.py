@@ -2,31 +2,32 @@
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from binpick_env.config import CameraConfig
 from binpick_env.jobs.process_map import map_indices
+from binpick_env.options import CellOptions
 from policies.benchmarks.measurement import Measurement
 from policies.selection.env import GraspSelectionEnv
 from policies.selection.selectors import WeightedSelector
 
-MODES: dict[str, dict[str, Any]] = {
-    "in full": {},
-    "fast": {"fast": True},
-    "fast, 640 x 480 pixels": {"fast": True, "camera": CameraConfig(width=640, height=480)},
+MODES: dict[str, tuple[bool, tuple[int, int] | None]] = {  # whether fast, and the image's size unless the cell's [px]
+    "in full": (False, None),
+    "fast": (True, None),
+    "fast, 640 x 480 pixels": (True, (640, 480)),
 }
 
 
 def bench_selection(
-    part: str, seed: int, picks: int, workers: int, perception: str = "oracle"
+    options: CellOptions, seed: int, picks: int, workers: int, perception: str = "oracle"
 ) -> Iterator[Measurement]:
     """Measure attempts per second of all processes together; each row is yielded as it is measured.
 
     Args:
-        part: Catalogue name, or path to a mesh file.
+        options: Part, bin, jaw, camera, sensor and friction.
         seed: Seed of the first pile of the first process.
         picks: Number of attempts per process; the time includes settling new piles, but no compilation.
         workers: Number of processes with one core each; each is a sample.
@@ -37,8 +38,19 @@ def bench_selection(
     """
     if picks < 1 or workers < 1:
         raise ValueError(f"picks and workers must be at least 1, got {picks} and {workers}")
-    for name, changes in MODES.items():
-        arguments = {"part": part, "perception": perception, "threads": 1, **changes}
+    for name, (fast, size) in MODES.items():
+        cell = options if size is None else replace(options, width=size[0], height=size[1])
+        arguments = {
+            "part": cell.part,
+            "unit": cell.unit,
+            "symmetry": cell.symmetry,
+            "density": cell.density,
+            "sensor": cell.sensor,
+            "config": cell.cell(),
+            "perception": perception,
+            "threads": 1,
+            "fast": fast,
+        }
         times = list(map_indices(partial(_seconds, arguments, seed, picks), range(workers), workers))
         each = tuple(picks / taken for taken in times)
         yield Measurement(name=f"attempts of a process, {name}", unit="1/s", values=each)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from binpick_env.config import SensorPreset
+from policies.commands.cell_arguments import CellArguments, SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
 
 
@@ -18,71 +20,73 @@ class Files:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell(Files):
+class Cell(Files, CellArguments):
     """Settling, stepping, camera frames by backend, attempts; everything on one core."""
 
-    part: str = "tee"  # catalogue name or mesh file
-    count: int = 25  # parts in the bin
-    seed: int = 0  # of the first pile
-    repeats: int = 5  # of every row but those of picking
-    picks: int = 20  # attempts behind the rows of picking
+    count: int = 25  # number of parts in the bin
+    seed: int = 0  # seed of the first pile
+    repeats: int = 5  # number of samples in each row, except those of picking
+    picks: int = 20  # number of attempts in the rows of picking
 
     def measure(self) -> Iterator[Any]:
         """Yield the rows as they are measured."""
         from policies.benchmarks.cell import bench_cell
 
-        return bench_cell(self.part, self.count, self.seed, self.repeats, self.picks)
+        return bench_cell(self.options(), self.count, self.seed, self.repeats, self.picks)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Segmentation(Files):
+class Segmentation(Files, SceneArguments):
     """Labelled scenes, a frame from pixels to labelled points, training with and without what makes it fast."""
 
-    part: str = "tee"  # catalogue name or mesh file, with weights
-    seed: int = 0  # of the scenes
-    repeats: int = 5  # of every row
-    threads: int = 2  # of torch
+    sensor: SensorPreset = "good"  # noise of the depth camera
+    seed: int = 0  # seed of the scenes
+    repeats: int = 5  # number of samples in each row
+    threads: int = 2  # number of torch's threads
 
     def measure(self) -> Iterator[Any]:
         """Yield the rows as they are measured."""
+        from binpick_env.scenes.synthesis import SceneConfig
         from policies.benchmarks.segmentation import bench_segmentation
 
-        return bench_segmentation(self.part, self.seed, self.repeats, self.threads)
+        config = SceneConfig(**scenes_of(self.options()), seed=self.seed, sensor=self.sensor)
+        return bench_segmentation(config, self.repeats, self.threads)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pose(Files):
+class Pose(Files, SceneArguments):
     """Pose estimation against OpenCV's and Open3D's on the same inputs, with one thread and two."""
 
-    part: str = "tee"  # catalogue name or mesh file
-    count: int = 20  # scenes, each of three segments
-    whole_scenes: int = 2  # of them, searched as a whole, too
-    seed: int = 0  # of the scenes
+    sensor: SensorPreset = "good"  # noise of the depth camera
+    count: int = 20  # number of scenes, each of three segments
+    whole_scenes: int = 2  # number of scenes that are also searched as a whole
+    seed: int = 0  # seed of the scenes
     opencv_python: Path | None = None  # interpreter of an environment with opencv-contrib-python-headless
     open3d_python: Path | None = None  # interpreter of an environment with open3d-cpu
 
     def measure(self) -> Iterator[Any]:
         """Yield the rows as they are measured."""
+        from binpick_env.scenes.synthesis import SceneConfig
         from policies.benchmarks.pose import bench_pose
 
         interpreters = {"opencv": self.opencv_python, "open3d": self.open3d_python}
-        return bench_pose(self.part, self.seed, self.count, self.whole_scenes, interpreters)
+        config = SceneConfig(**scenes_of(self.options()), seed=self.seed, sensor=self.sensor)
+        return bench_pose(config, self.count, self.whole_scenes, interpreters)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Selection(Files):
+class Selection(Files, CellArguments):
     """Attempts a second of BinPickSelect-v0, in full and fast, in as many processes as there are workers."""
 
-    part: str = "tee"  # catalogue name or mesh file
-    seed: int = 0  # of the first pile
-    picks: int = 40  # attempts of each process
-    workers: int = 2  # processes, one core each
+    seed: int = 0  # seed of the first pile
+    picks: int = 40  # number of attempts of each process
+    workers: int = 2  # number of processes, each on one core
 
     def measure(self) -> Iterator[Any]:
         """Yield the rows as they are measured."""
         from policies.benchmarks.selection import bench_selection
 
-        return bench_selection(self.part, self.seed, self.picks, self.workers)
+        return bench_selection(self.options(), self.seed, self.picks, self.workers)
 
 
 Arguments = Cell | Segmentation | Pose | Selection

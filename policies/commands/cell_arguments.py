@@ -9,8 +9,8 @@ from binpick_env.parts.unit import Unit
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneArguments:
-    """What lies in which bin under which camera."""
+class PartArguments:
+    """What lies in which bin."""
 
     part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
     unit: Unit | None = None  # length unit of a part file's coordinates; metres or millimetres, guessed, unless given
@@ -18,11 +18,6 @@ class SceneArguments:
     density: float | None = None  # density of the part [kg/m^3]; the catalogue's, or 2700 for a file, unless given
     # length, width, height inside the bin [m], or one word in mm such as 360x260x120; 0.36 0.26 0.12 unless given
     bin: tuple[float, float, float] | None = None
-    camera_distance: float = 0.9  # distance of the camera from the bin's floor [m]
-    width: int = 1280  # width of the camera's image [px]
-    height: int = 960  # height of the camera's image [px]
-    # renderer of the camera's frames; raster and rays give the same frames, rays is slower; egl needs a GL driver
-    backend: Backend = "raster"
     friction: float | None = None  # sliding friction coefficient of parts, bin and tray; 0.5 unless given
 
     def options(self) -> CellOptions:
@@ -31,7 +26,22 @@ class SceneArguments:
         Raises:
             ValueError: One of them has no meaning.
         """
-        return CellOptions(**{field.name: getattr(self, field.name) for field in fields(SceneArguments)})
+        return _options(self, PartArguments)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneArguments(PartArguments):
+    """What lies in which bin under which camera."""
+
+    camera_distance: float = 0.9  # distance of the camera from the bin's floor [m]
+    width: int = 1280  # width of the camera's image [px]
+    height: int = 960  # height of the camera's image [px]
+    # renderer of the camera's frames; raster and rays give the same frames, rays is slower; egl needs a GL driver
+    backend: Backend = "raster"
+
+    def options(self) -> CellOptions:
+        """Return the options of the cell, as above."""
+        return _options(self, SceneArguments)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,12 +53,13 @@ class CellArguments(SceneArguments):
     hand_eye_mm: float = 0.0  # error of the camera's reported position, standard deviation per axis [mm]
 
     def options(self) -> CellOptions:
-        """Return the options of the cell.
+        """Return the options of the cell, as above."""
+        return _options(self, CellArguments)
 
-        Raises:
-            ValueError: One of them has no meaning.
-        """
-        return CellOptions(**{field.name: getattr(self, field.name) for field in fields(CellArguments)})
+
+def _options(arguments: PartArguments, kind: type[PartArguments]) -> CellOptions:
+    """Return the values of the fields that ``kind`` declares; commands add others to theirs."""
+    return CellOptions(**{field.name: getattr(arguments, field.name) for field in fields(kind)})
 
 
 def evaluated(options: CellOptions) -> dict[str, Any]:

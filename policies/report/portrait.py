@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from binpick_env.cell.render import PicturePainter, look_at
 from binpick_env.env import BinPickEnv
+from binpick_env.options import CellOptions
 from perception.geometry import Floats, make_transform, rotation_about
 from policies.motion.ik import IkSolver
 from policies.motion.planning_scene import PlanningScene
@@ -18,11 +19,11 @@ _ARRIVED = 0.01  # largest joint error [rad] and velocity [rad/s] at which the a
 _SUPERSAMPLING = 2
 
 
-def cell_picture(part: str, seed: int, width: int, height: int) -> NDArray[np.uint8]:
-    """Return an (H, W, 3) uint8 RGB picture of a settled bin of ``part`` with the arm over it.
+def cell_picture(options: CellOptions, seed: int, width: int, height: int) -> NDArray[np.uint8]:
+    """Return an (H, W, 3) uint8 RGB picture of a settled bin with the arm over it.
 
     Args:
-        part: Catalogue name, or path of a mesh file.
+        options: Part, bin and friction.
         seed: Seed of the bin.
         width: Width of the picture [px].
         height: Height of the picture [px].
@@ -30,7 +31,7 @@ def cell_picture(part: str, seed: int, width: int, height: int) -> NDArray[np.ui
     Raises:
         RuntimeError: The arm cannot reach the point over the bin.
     """
-    env = BinPickEnv(part=part, perception="oracle")
+    env = BinPickEnv(options.load_part(), perception="oracle", config=options.cell())
     try:
         env.reset(seed=seed)
         _move_over_bin(env)

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from binpick_env.options import CellOptions
+from binpick_env.scenes.synthesis import SceneConfig
 from perception.geometry import Floats, invert_transform, make_transform, rotation_about
 from perception.instance import Instance
 from policies.benchmarks import pose as bench
@@ -142,7 +144,7 @@ def test_ours_is_warmed_up_and_asked_once_for_each_case() -> None:
     assert [scores.tolist() for scores in got.scores[0]] == [[], [0.5], [0.9]]
     assert got.ms.shape == (1, 3)
     with pytest.raises(ValueError, match="our method needs at least one case, got none"):
-        run_ours("tee", [], [], threads=1)
+        run_ours(CellOptions(), [], [], threads=1)
 
 
 def test_every_method_is_measured_with_one_thread_and_two(fake: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,7 +156,7 @@ def test_every_method_is_measured_with_one_thread_and_two(fake: Peer, monkeypatc
     monkeypatch.setattr(bench, "pose_cases", lambda *_: ([], cases))
     monkeypatch.setattr(bench, "run_ours", truth)
     peers = [fake, replace(fake, name="Thorough", whole_scenes=True), replace(fake, name="Absent", family="absent")]
-    rows = list(bench_pose("tee", 31, 1, 1, {"fake": Path(sys.executable)}, peers))
+    rows = list(bench_pose(SceneConfig(seed=31), 1, 1, {"fake": Path(sys.executable)}, peers))
     expected = [(OURS, "true segments"), (OURS, "whole bins"), ("Fake", "true segments")]
     expected += [("Thorough", "true segments"), ("Thorough", "whole bins")]
     assert [(row.method, row.inputs) for row in rows] == 2 * expected
@@ -173,7 +175,7 @@ def test_the_command_prints_the_table_and_ends_a_mistake_in_one_line(
         patch.setattr(bench, "bench_pose", lambda *args: asked.append(args) or iter(rows))
         assert command.run(command.Pose(part="tee", seed=3, opencv_python=Path("p"), save=file)) == 0
     assert pose_table(rows) in capsys.readouterr().out
-    assert asked == [("tee", 3, 20, 2, {"opencv": Path("p"), "open3d": None})]
+    assert asked == [(SceneConfig(part="tee", seed=3), 20, 2, {"opencv": Path("p"), "open3d": None})]
     assert load_benchmark(file)[0].name == rows[0].name
     assert command.run(command.Pose(part="teapot")) == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: part must be one of part_a")
@@ -182,8 +184,8 @@ def test_the_command_prints_the_table_and_ends_a_mistake_in_one_line(
 @pytest.mark.slow
 def test_ours_runs_in_a_process_of_its_own() -> None:
     before = dict(os.environ)
-    scenes, cases = pose_cases("tee", 31, 1, 0)
-    got = run_ours("tee", scenes, cases, threads=1)
+    scenes, cases = pose_cases(SceneConfig(seed=31), 1, 0)
+    got = run_ours(CellOptions(), scenes, cases, threads=1)
     assert dict(os.environ) == before
     assert [len(poses) for poses in got.poses[0]] == [1, 1, 1]
     assert (got.ms > 0).all()

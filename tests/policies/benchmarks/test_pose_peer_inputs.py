@@ -55,7 +55,7 @@ def test_segments_are_those_nearest_to_a_whole_parts_size(made: CapturedScene) -
 
 
 def test_a_whole_bin_is_everything_in_it_but_the_container(made: CapturedScene) -> None:
-    whole = whole_case(made, 2)
+    whole = whole_case(made, 2, CellConfig().bin.workspace())
     assert (whole.scene, whole.instance, whole.top) == (2, None, 4)
     np.testing.assert_array_equal(whole.T_cam_parts, made.scene.T_cam_parts)
     np.testing.assert_array_equal(whole.to_find, made.scene.visible_fractions >= 0.5)
@@ -79,7 +79,7 @@ def test_model_points_lie_on_the_mesh_with_normals_outwards() -> None:
 @pytest.mark.parametrize(("count", "whole"), [(0, 0), (1, 2), (1, -1)])
 def test_impossible_numbers_of_scenes_are_refused(count: int, whole: int) -> None:
     with pytest.raises(ValueError, match=f"whole_scenes from 0 to it, got {count} and {whole}"):
-        pose_cases("tee", 31, count, whole)
+        pose_cases(SceneConfig(seed=31), count, whole)
 
 
 def test_nonsense_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 import pytest
 
+from binpick_env.scenes.synthesis import SceneConfig
 from perception.segmentation.training.presets import PRESETS
 from policies.benchmarks.segmentation import CLOUDS, POINTS, bench_segmentation, training_rows
 
@@ -18,12 +19,12 @@ def test_rows_of_training_differ_in_one_saving_each() -> None:
 @pytest.mark.parametrize(("repeats", "threads"), [(0, 1), (1, 0)])
 def test_nonsense_is_refused(repeats: int, threads: int) -> None:
     with pytest.raises(ValueError, match="repeats and threads must be at least 1"):
-        next(bench_segmentation("tee", 0, repeats, threads))
+        next(bench_segmentation(SceneConfig(), repeats, threads))
 
 
 @pytest.mark.slow
 def test_every_row_is_measured() -> None:
-    rows = list(bench_segmentation("tee", seed=5, repeats=1, threads=1))
+    rows = list(bench_segmentation(SceneConfig(seed=5), repeats=1, threads=1))
     assert len({row.name for row in rows}) == len(rows) == 6 + len(training_rows())
     assert all(value > 0 for row in rows for value in row.values)
     assert {row.unit for row in rows} == {"s", "ms", "clouds/s"}

@@ -2,13 +2,14 @@
 
 import pytest
 
+from binpick_env.options import CellOptions
 from policies.benchmarks.selection import MODES, bench_selection
 
 
 @pytest.mark.parametrize(("picks", "workers"), [(0, 2), (5, 0)])
 def test_nothing_cannot_be_timed(picks: int, workers: int) -> None:
     with pytest.raises(ValueError, match=f"picks and workers must be at least 1, got {picks} and {workers}"):
-        list(bench_selection("tee", 0, picks, workers))
+        list(bench_selection(CellOptions(), 0, picks, workers))
 
 
 def test_processes_are_added_up(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -16,7 +17,7 @@ def test_processes_are_added_up(monkeypatch: pytest.MonkeyPatch) -> None:
         "policies.benchmarks.selection._seconds", lambda arguments, *_: 5.0 if arguments.get("fast") else 20.0
     )
     monkeypatch.setattr("policies.benchmarks.selection.map_indices", lambda work, indices, workers: map(work, indices))
-    rows = list(bench_selection("tee", 0, picks=10, workers=2))
+    rows = list(bench_selection(CellOptions(), 0, picks=10, workers=2))
     assert [row.values for row in rows[:4]] == [(0.5, 0.5), (1.0,), (2.0, 2.0), (4.0,)]
     assert len(rows) == 2 * len(MODES)
     assert rows[1].name == "attempts of 2 processes, in full"
