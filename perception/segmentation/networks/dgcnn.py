@@ -1,4 +1,4 @@
-"""DGCNN's segmentation trunk: EdgeConvs on graphs of nearest neighbours, which are found anew in each layer's features.
+"""DGCNN's segmentation trunk: EdgeConvs on nearest-neighbour graphs, built in the features of each layer.
 
 Shapes: B clouds, N points, K neighbours, C channels of a point, F features of a point, G features of a cloud.
 """
@@ -20,21 +20,21 @@ from perception.segmentation.networks.pointnet import (
     require_points,
 )
 
-SLOPE = 0.2  # of the leaky ReLU, as released
-TREE_CHANNELS = 3  # up to here a kd-tree beats dense distances; in 9-d it is already slower
-CHUNK_CPU, CHUNK_GPU = 2**20, 2**26  # scores that are alive at once; 4 MB stay in a CPU's cache
+SLOPE = 0.2  # slope of the leaky ReLU, as in the released code
+TREE_CHANNELS = 3  # dimensions up to which a kd-tree is faster than dense distances; at 9 it is slower
+CHUNK_CPU, CHUNK_GPU = 2**20, 2**26  # number of pairwise scores in memory at once; 4 MB fit a CPU's cache
 
 
 @dataclass(frozen=True, kw_only=True)
 class DgcnnConfig:
-    """Sizes of the trunk and its graph; the defaults are the released ones."""
+    """Sizes of the trunk and its graph; the defaults are those of the released code."""
 
-    in_channels: int = 3  # coordinates of a point
-    k: int = 20  # neighbours, the point itself included
-    edge_widths: tuple[tuple[int, ...], ...] = ((64, 64), (64, 64), (64,))  # of each EdgeConv's layers
-    global_width: int = 1024  # features of the cloud
-    head_widths: tuple[int, int] = (512, 256)  # of the layers on [point | cloud]; the last is the trunk's width
-    graph_channels: tuple[int, ...] = (0, 1, 2)  # coordinates in which the first graph's neighbours are near
+    in_channels: int = 3  # number of coordinates of a point
+    k: int = 20  # number of neighbours, the point itself included
+    edge_widths: tuple[tuple[int, ...], ...] = ((64, 64), (64, 64), (64,))  # widths of the layers of each EdgeConv
+    global_width: int = 1024  # number of features of a cloud
+    head_widths: tuple[int, int] = (512, 256)  # widths of the layers on [point | cloud]; the last is the trunk's width
+    graph_channels: tuple[int, ...] = (0, 1, 2)  # coordinates that define neighbours in the first graph
     reuse_graph: bool = False  # keep the first graph in all layers instead of finding neighbours among features
 
     def __post_init__(self) -> None:
@@ -51,10 +51,10 @@ class DgcnnConfig:
 
 
 class EdgeConv(nn.Module):
-    """A small network on every edge ``[x_i, x_j - x_i]``, and the maximum over each point's edges.
+    """EdgeConv: a small network on every edge ``[x_i, x_j - x_i]``, and the maximum over the edges of a point.
 
-    Source: Wang et al., "Dynamic Graph CNN for Learning on Point Clouds", TOG 2019. The first layer's product
-    factorises: with ``W = [B | A]``, ``W [x_i ; x_j - x_i] = A x_j + (B - A) x_i``, N rows each instead of N * K.
+    Source: Wang et al., "Dynamic Graph CNN for Learning on Point Clouds", TOG 2019. The product of the first layer
+    factorises: with ``W = [B | A]``, ``W [x_i ; x_j - x_i] = A x_j + (B - A) x_i``, so N rows replace N * K.
     """
 
     def __init__(self, channels: int, widths: tuple[int, ...]) -> None:
@@ -63,14 +63,14 @@ class EdgeConv(nn.Module):
         self.rest = nn.Sequential(*(SharedLayer(a, b, SLOPE) for a, b in pairwise(widths)))
 
     def forward(self, x_BNC: Tensor, neighbours_BNK: Tensor) -> Tensor:
-        """Return (B, N, widths[-1]) features; ``neighbours_BNK`` int64 holds indices of points of the same cloud."""
+        """Return the (B, N, widths[-1]) features; ``neighbours_BNK`` are int64 indices of points of the same cloud."""
         edges_BNKC = self.first.activate(self._first_sums(x_BNC, neighbours_BNK))
-        # A maximum's [0] rather than amax: its backward is 2.7 times faster on a CPU.
+        # max()[0] rather than amax(): its backward pass is 2.7 times faster on a CPU.
         features_BNC: Tensor = self.rest(edges_BNKC).max(dim=2)[0]
         return features_BNC
 
     def _first_sums(self, x_BNC: Tensor, neighbours_BNK: Tensor) -> Tensor:
-        # In full precision even under autocast: the difference of near points would drown in bfloat16.
+        # In full precision even under autocast: bfloat16 cannot resolve the difference of near points.
         with torch.autocast(x_BNC.device.type, enabled=False):
             weight = self.first.linear.weight
             of_own, of_offset = weight.chunk(2, dim=1)
@@ -81,11 +81,11 @@ class EdgeConv(nn.Module):
 
 
 class DGCNNTrunk(nn.Module):
-    """Points to features that know their surroundings: three EdgeConvs, then a global maximum joined to each point.
+    """DGCNN's trunk: three EdgeConvs, then a global maximum that is joined to the features of each point.
 
-    Source: the released sem_seg model of Wang et al., TOG 2019, without its dropout. For 9-d S3DIS points that code
-    builds the first graph on the room's normalised coordinates (``graph_channels=(6, 7, 8)``); here the default is the
-    metric xyz that come first, whose neighbourhoods do not depend on the room's proportions.
+    Source: the released sem_seg model of Wang et al., TOG 2019, without its dropout. For 9-d points of S3DIS that code
+    builds the first graph on the normalised coordinates of the room (``graph_channels=(6, 7, 8)``). The default here
+    is the metric xyz, whose neighbourhoods do not depend on the proportions of the room.
     """
 
     def __init__(self, config: DgcnnConfig | None = None) -> None:
@@ -100,14 +100,14 @@ class DGCNNTrunk(nn.Module):
 
     @property
     def width(self) -> int:
-        """Features of a point that come out."""
+        """Number of output features of a point."""
         return self.config.head_widths[-1]
 
     def forward(self, points_BNC: Tensor) -> Tensor:
-        """Return (B, N, F) features; a cloud of fewer than k points has all of them as neighbours.
+        """Return the (B, N, F) features. In a cloud of fewer than k points, all points are neighbours.
 
         Raises:
-            ValueError: The points' shape does not fit.
+            ValueError: The shape of the points does not fit.
         """
         require_points(points_BNC, self.config.in_channels)
         features, x_BNC, neighbours_BNK = [], points_BNC, self._first_graph(points_BNC)
@@ -130,7 +130,7 @@ class DGCNNTrunk(nn.Module):
 
 
 def gather_neighbours(x_BNC: Tensor, neighbours_BNK: Tensor) -> Tensor:
-    """Return (B, N, K, C): the rows of each cloud that (B, M, K) indices name."""
+    """Return the (B, M, K, C) rows of each cloud at (B, M, K) indices."""
     batch, count, channels = x_BNC.shape
     first_B11 = torch.arange(batch, device=x_BNC.device)[:, None, None] * count
     rows = x_BNC.reshape(-1, channels).index_select(0, (neighbours_BNK + first_B11).reshape(-1))
@@ -138,9 +138,11 @@ def gather_neighbours(x_BNC: Tensor, neighbours_BNK: Tensor) -> Tensor:
 
 
 def tree_neighbours(x_BNC: Tensor, k: int) -> Tensor:
-    """Return (B, N, min(k, N)) int64 nearest points in the same cloud, the point among them, by a kd-tree.
+    """Return the (B, N, min(k, N)) int64 nearest points of the same cloud, the point included, by a kd-tree.
 
-    Note: runs on the CPU, about 3 ms for 1024 points in space. No gradient. Equal distances fall as they please.
+    Note:
+        It runs on the CPU, about 3 ms for 1024 points in space, and has no gradient. The order of equal distances is
+        arbitrary.
     """
     ranks = np.arange(1, min(k, x_BNC.shape[1]) + 1)
     clouds = x_BNC.detach().cpu().numpy()
@@ -150,15 +152,17 @@ def tree_neighbours(x_BNC: Tensor, k: int) -> Tensor:
 
 @torch.no_grad()
 def dense_neighbours(x_BNC: Tensor, k: int) -> Tensor:
-    """Return (B, N, min(k, N)) int64 nearest points in the same cloud, in no order, by products of all pairs.
+    """Return the (B, N, min(k, N)) int64 nearest points of the same cloud, unsorted, by products of all pairs.
 
-    Note: O(N^2) time, in chunks of rows that bound the memory. No gradient. Equal distances fall as they please.
+    Note:
+        Time is O(N^2); chunks of rows bound the memory. There is no gradient. The choice among equal distances is
+        arbitrary.
     """
     k = min(k, x_BNC.shape[1])
     chunk = max(1, (CHUNK_CPU if x_BNC.device.type == "cpu" else CHUNK_GPU) // x_BNC.shape[1])
     with torch.autocast(x_BNC.device.type, enabled=False):
         x_BNC = x_BNC if x_BNC.dtype == torch.float64 else x_BNC.float()
-        x_BNC = x_BNC - x_BNC.mean(dim=1, keepdim=True)  # products of large coordinates would cancel
+        x_BNC = x_BNC - x_BNC.mean(dim=1, keepdim=True)  # centred, because products of large coordinates cancel
         return torch.stack([_dense_neighbours_of_cloud(x_NC, k, chunk) for x_NC in x_BNC])
 
 

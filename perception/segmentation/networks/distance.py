@@ -1,11 +1,11 @@
-"""How far two points are apart in the embedding: the paper's text and its lineage's code differ."""
+"""Distance of two points in the embedding, as the paper prints it or as SGPN's released code computes it."""
 
 from typing import Literal
 
 import numpy as np
 
 Distance = Literal["l2", "scaled_square"]  # ||df||_2 as printed, or 10 ||df||^2 as in SGPN's released code
-SQUARE_SCALE = 10.0  # of the latter
+SQUARE_SCALE = 10.0  # factor of ``scaled_square``
 
 
 def squared_threshold(threshold: float, distance: Distance) -> float:

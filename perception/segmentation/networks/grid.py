@@ -1,6 +1,7 @@
-"""A scene as the image-plane network sees it: coarse cells of depth and boundary density, and points placed in them.
+"""Inputs of the image-plane network: coarse cells of depth and boundary density, and the points in them.
 
-One coarse cell, which the network works on, is 2 x 2 fine cells; a fine cell is :class:`Surface`'s, about d_max / 80.
+A coarse cell, on which the network works, is 2 x 2 fine cells. A fine cell is one of :class:`Surface`,
+about d_max / 80.
 """
 
 from dataclasses import dataclass
@@ -12,24 +13,25 @@ from numpy.typing import NDArray
 from perception.geometry import Floats
 from perception.segmentation.surface import Surface
 
-FINE = 2  # fine cells along a side of a coarse one
-CHANNELS = 4 * FINE * FINE  # of a coarse cell: height, detail, measured, density in each of its fine cells
-LOCAL = 4  # what a point knows besides its place
-DETAIL_WINDOW = 9  # fine cells over which the mean is taken that detail is measured against
-DETAIL_SCALE = 0.05  # of d_max; a detail of this size is 1
-MULTIPLE = 16  # the network halves its grid four times
+FINE = 2  # number of fine cells along the side of a coarse cell
+CHANNELS = 4 * FINE * FINE  # channels of a coarse cell: height, detail, measured and density of its fine cells
+LOCAL = 4  # number of local features of a point
+DETAIL_WINDOW = 9  # side of the window whose mean height is subtracted from the height to give the detail [fine cells]
+DETAIL_SCALE = 0.05  # height of a detail of value 1, in units of d_max
+MULTIPLE = 16  # numbers of cells are multiples of this, as the network halves its grid four times
 
 Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GridView:
-    """One scene, or a part of it, in cells.
+    """A scene, or a crop of it, in cells.
 
     Attributes:
-        cells: (CHANNELS, H, W) float32, H and W multiples of 16.
-        place: (N, 2) float32 column and row of each point in coarse cells; a cell's middle is at + .5.
-        local: (N, LOCAL) float32: place within the fine cell, height over the cell's surface, height.
+        cells: (CHANNELS, H, W) float32 channels of the coarse cells; H and W are multiples of 16.
+        place: (N, 2) float32 column and row of each point in coarse cells; the centre of the first cell is (0.5, 0.5).
+        local: (N, LOCAL) float32 local features of each point: position within the fine cell (2), height over the
+            surface of the cell, height.
     """
 
     cells: Singles
@@ -45,15 +47,15 @@ def view_grid(
     reference: float,
     keep: NDArray[np.bool_] | None = None,
 ) -> GridView:
-    """Return what the network is shown.
+    """Return the inputs of the network.
 
     Args:
-        surface: (h, w) depth of the fine cells [m], 0 for none.
+        surface: (h, w) depth of the fine cells [m], 0 where there is none.
         place_fine: (N, 2) column and row of each boundary point in fine cells.
-        depths: (N,) of the points [m].
-        d_max: The part's largest extent, the unit of height [m].
-        reference: Depth at which height is 0 [m].
-        keep: (N,) points whose density is drawn; all by default. Points off the grid are never drawn.
+        depths: (N,) depth of each boundary point [m].
+        d_max: Largest extent of the part, the unit of height [m].
+        reference: Depth of height 0 [m].
+        keep: (N,) mask of the points that count in the density; all unless given. Points off the grid never count.
     """
     rows, columns = (-(-size // (FINE * MULTIPLE)) * FINE * MULTIPLE for size in surface.shape)
     depth = np.zeros((rows, columns), np.float32)
@@ -81,5 +83,5 @@ def view_grid(
 
 
 def place_in(surface: Surface, pixels: NDArray[np.integer]) -> Floats:
-    """Return the (N, 2) column and row in fine cells of the middles of (N, 2) pixels."""
+    """Return the (N, 2) columns and rows in fine cells of the centres of (N, 2) pixels (u, v)."""
     return np.asarray((pixels - (surface.u0, surface.v0) + 0.5) / surface.cell, np.float64)

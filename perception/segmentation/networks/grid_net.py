@@ -1,7 +1,7 @@
-"""The image-plane network: a U-Net over cells for context, gathered back at the points.
+"""The image-plane network: a U-Net over cells, whose features are gathered at the points.
 
-Beyond the paper: the boundary cloud of a single view is an image, so a neighbourhood needs no search and a receptive
-field of several parts costs as much as an EdgeConv over one. Similarity, confidence and loss stay SGPN's.
+It is not in the paper. The boundary cloud of a single view is an image, so neighbourhoods need no search. A receptive
+field of several parts costs as much as an EdgeConv over one. Similarity, confidence and losses are SGPN's.
 
 Shapes: B scenes, N points, C channels, H x W cells, L local features, F dimensions of the embedding.
 """
@@ -21,11 +21,11 @@ from perception.segmentation.networks.output import PointOutputs
 class GridNetConfig:
     """Sizes of the network."""
 
-    widths: tuple[int, ...] = (32, 64, 128, 160, 192)  # channels at 1, 1/2, 1/4, 1/8 and 1/16 of the cells
-    hidden: int = 64  # of the points' own layers
-    embedding: int = 16  # learned dimensions of the embedding, beside the vote's three
-    vote_scale: float = 50.0  # weight of a vote for the part's centre, in d_max, among the embedding's dimensions
-    classes: int = 1  # semantic classes
+    widths: tuple[int, ...] = (32, 64, 128, 160, 192)  # channels at 1, 1/2, 1/4, 1/8 and 1/16 of the resolution
+    hidden: int = 64  # width of the layers on the points
+    embedding: int = 16  # number of learned dimensions of the embedding, besides the three of the vote
+    vote_scale: float = 50.0  # factor of the vote for the centre of the part [d_max] in the embedding
+    classes: int = 1  # number of semantic classes
 
     def __post_init__(self) -> None:
         if len(self.widths) != 5 or min(self.widths) < 1:
@@ -38,13 +38,13 @@ class GridNetConfig:
 
 
 class GridInputs(NamedTuple):
-    """A batch.
+    """A batch of :class:`perception.segmentation.networks.grid.GridView`.
 
     Attributes:
-        cells_BCHW: See :class:`perception.segmentation.networks.grid.GridView`.
-        place_BN2: Column and row in cells.
-        local_BNL: What a point knows besides its place.
-        points_BN3: Camera frame, in units of d_max.
+        cells_BCHW: Channels of the coarse cells.
+        place_BN2: Column and row of each point in coarse cells.
+        local_BNL: Local features of each point.
+        points_BN3: Points in the camera frame, in units of d_max.
     """
 
     cells_BCHW: Tensor
@@ -78,7 +78,7 @@ class GridNet(nn.Module):
         self.semantics = nn.Linear(config.hidden, config.classes)
 
     def forward(self, inputs: GridInputs) -> PointOutputs:
-        """Return the heads' outputs; the embedding is the scaled vote followed by the learned dimensions."""
+        """Return the outputs of the heads; the embedding is the scaled vote followed by the learned dimensions."""
         levels = [self.stem(inputs.cells_BCHW.contiguous(memory_format=torch.channels_last))]
         for down in self.down:
             levels.append(down(levels[-1]))
@@ -101,7 +101,7 @@ class GridNet(nn.Module):
 
 
 def gather_bilinear(features_BCHW: Tensor, place_BN2: Tensor) -> Tensor:
-    """Return (B, N, C) features at (column, row) places; beyond the outermost cells' middles the border's value."""
+    """Return the (B, N, C) bilinear features at places (column, row), clamped to the centres of the outermost cells."""
     batch, channels, height, width = features_BCHW.shape
     rows_XC = features_BCHW.permute(0, 2, 3, 1).reshape(-1, channels)
     x = (place_BN2[..., 0] - 0.5).clamp(0, width - 1)

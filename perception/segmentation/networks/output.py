@@ -1,4 +1,4 @@
-"""What every segmentation network says about every point.
+"""Outputs of every segmentation network for every point.
 
 Shapes: B clouds of a batch, N points, C coordinates of a point, F dimensions of the embedding, S semantic classes.
 """
@@ -9,13 +9,14 @@ from torch import Tensor
 
 
 class PointOutputs(NamedTuple):
-    """The heads' outputs.
+    """Outputs of the heads.
 
     Attributes:
-        embedding_BNF: Points of one instance lie close together (F_SIM of the paper).
-        confidence_BN: In (0, 1): IoU that the group proposed by this point is expected to have.
+        embedding_BNF: Embedding (F_SIM of the paper), in which points of one instance lie close together.
+        confidence_BN: Expected IoU of the group that each point proposes, in (0, 1).
         semantics_BNS: Class logits.
-        offsets_BN3: From the point to its part's centre in units of d_max; None for networks without that head.
+        offsets_BN3: Offset from each point to the centre of its part, in units of d_max; None for networks without that
+            head.
     """
 
     embedding_BNF: Tensor

@@ -11,21 +11,21 @@ from torch.nn import functional
 
 
 def require_at_least_one(config: object, *names: str) -> None:
-    """Raise ``ValueError`` unless each of the config's fields ``names`` is at least 1."""
+    """Raise a ``ValueError`` unless each named field of ``config`` is at least 1."""
     for name in names:
         if getattr(config, name) < 1:
             raise ValueError(f"{name} must be at least 1, got {getattr(config, name)}")
 
 
 def require_points(points_BNC: Tensor, channels: int) -> None:
-    """Raise ``ValueError`` unless the batch is (B, N, ``channels``) with at least one cloud and one point."""
+    """Raise a ``ValueError`` unless the batch is (B, N, ``channels``) with at least one cloud and one point."""
     shape = tuple(points_BNC.shape)
     if len(shape) != 3 or shape[-1] != channels or 0 in shape:
         raise ValueError(f"points_BNC must be (B, N, {channels}) with B and N at least 1, got {shape}")
 
 
 class SharedLayer(nn.Module):
-    """Linear layer without bias, batch normalisation and (leaky) ReLU, alike for every row: a "1 x 1 convolution"."""
+    """Linear layer without bias, batch normalisation and (leaky) ReLU on every row: a "1 x 1 convolution"."""
 
     def __init__(self, channels: int, width: int, slope: float = 0.0) -> None:
         super().__init__()
@@ -39,14 +39,14 @@ class SharedLayer(nn.Module):
 
     def activate(self, sums: Tensor) -> Tensor:
         """Normalise (..., width) linear sums over all rows and apply the ReLU."""
-        # The rows as a channels-last image, permuted and never indexed so that the gradient has that layout too: a CPU
-        # normalises it about twice as fast as a matrix.
+        # A CPU normalises a channels-last image about twice as fast as a matrix. The rows are permuted and not indexed,
+        # so the gradient has that layout too.
         image = self.norm(sums.reshape(1, -1, 1, sums.shape[-1]).permute(0, 3, 1, 2))
         return functional.leaky_relu(image, self.slope, inplace=True).permute(0, 2, 3, 1).reshape(sums.shape)
 
 
 class SharedLayerWithCloud(SharedLayer):
-    """A shared layer on ``[point's features | cloud's features]`` that never repeats the latter for every point.
+    """A shared layer on the features of a point and its cloud, ``[f | g]``, without a copy of g for every point.
 
     ``W [f ; g] = W_f f + W_g g``, and the second term is computed once per cloud.
     """
@@ -72,10 +72,10 @@ class SharedLayerWithCloud(SharedLayer):
 class PointNetConfig:
     """Sizes of the trunk; the defaults are SGPN's."""
 
-    in_channels: int = 3  # coordinates of a point
-    widths: tuple[int, ...] = (64, 64, 64, 128, 1024)  # of the layers before the maximum over points
-    cloud_widths: tuple[int, ...] = (256, 128)  # of the fully connected layers on the cloud's maximum
-    head_widths: tuple[int, ...] = (512, 256)  # of the layers on [point | cloud]; the last is the trunk's width
+    in_channels: int = 3  # number of coordinates of a point
+    widths: tuple[int, ...] = (64, 64, 64, 128, 1024)  # widths of the layers before the maximum over points
+    cloud_widths: tuple[int, ...] = (256, 128)  # widths of the fully connected layers on that maximum
+    head_widths: tuple[int, ...] = (512, 256)  # widths of the layers on [point | cloud]; the last is the trunk's width
 
     def __post_init__(self) -> None:
         require_at_least_one(self, "in_channels")
@@ -85,9 +85,9 @@ class PointNetConfig:
 
 
 class PointNetTrunk(nn.Module):
-    """Points to features through one global maximum; points do not see their neighbours.
+    """PointNet's trunk: features of points and of the cloud by one global maximum, without neighbourhoods.
 
-    Source: Qi et al., "PointNet", CVPR 2017, in the sizes of SGPN's released code, without the input transforms.
+    Source: Qi et al., "PointNet", CVPR 2017, with the sizes of SGPN's released code and without the input transforms.
     """
 
     def __init__(self, config: PointNetConfig | None = None) -> None:
@@ -100,21 +100,21 @@ class PointNetTrunk(nn.Module):
 
     @property
     def width(self) -> int:
-        """Features of a point that come out."""
+        """Number of output features of a point."""
         return self.config.head_widths[-1]
 
     def forward(self, points_BNC: Tensor) -> Tensor:
         """Return (B, N, F) features.
 
         Raises:
-            ValueError: The points' shape does not fit, or a single cloud comes in training, where the layers on the
-                cloud's maximum normalise over clouds.
+            ValueError: The shape of the points does not fit, or a single cloud is given in training, where the layers
+                on the maximum normalise over clouds.
         """
         require_points(points_BNC, self.config.in_channels)
         if self.training and len(points_BNC) < 2:
             raise ValueError("points_BNC must hold at least 2 clouds in training (batch normalisation), got 1")
         features_BNC: Tensor = self.points(points_BNC)
-        # A maximum's [0] rather than amax: its backward is 2.7 times faster on a CPU.
+        # max()[0] rather than amax(): its backward pass is 2.7 times faster on a CPU.
         cloud_BG = self.cloud(features_BNC.max(dim=1)[0])
         features_BNF: Tensor = self.head(self.join(features_BNC, cloud_BG))
         return features_BNF

@@ -1,4 +1,4 @@
-"""SGPN: a trunk and three heads, which say of every point where it lies among instances, how surely, and of what class.
+"""SGPN: a trunk and three heads for embedding, confidence and semantic class.
 
 Shapes: B clouds, N points, C coordinates of a point, F dimensions of the embedding, S semantic classes.
 """
@@ -19,16 +19,16 @@ Trunk = Literal["pointnet", "dgcnn"]
 
 @dataclass(frozen=True, kw_only=True)
 class SgpnConfig:
-    """The network: SGPN's with ``pointnet``, the paper's with ``dgcnn``."""
+    """Sizes of the network: SGPN's with the trunk ``pointnet``, the paper's with ``dgcnn``."""
 
-    trunk: Trunk = "dgcnn"  # what turns points into features
-    in_channels: int = 3  # coordinates of a point: 3, or 9 on S3DIS
-    num_classes: int = 1  # semantic classes
-    embedding: int = 128  # dimensions of the embedding (F_SIM)
-    branch: int = 128  # width of the confidence's and the semantics' hidden layer (F_CF, F_SEM)
-    k: int = 20  # dgcnn: neighbours, the point itself included
-    global_width: int = 1024  # features of the cloud
-    graph_channels: tuple[int, ...] = (0, 1, 2)  # dgcnn: coordinates in which the first graph's neighbours are near
+    trunk: Trunk = "dgcnn"  # trunk that computes the features of the points
+    in_channels: int = 3  # number of coordinates of a point: 3, or 9 on S3DIS
+    num_classes: int = 1  # number of semantic classes
+    embedding: int = 128  # number of dimensions of the embedding (F_SIM)
+    branch: int = 128  # width of the hidden layer of the confidence and semantic heads (F_CF, F_SEM)
+    k: int = 20  # dgcnn: number of neighbours, the point itself included
+    global_width: int = 1024  # number of features of a cloud
+    graph_channels: tuple[int, ...] = (0, 1, 2)  # dgcnn: coordinates that define neighbours in the first graph
     reuse_graph: bool = False  # dgcnn: keep the first graph in all layers
 
     def __post_init__(self) -> None:
@@ -38,7 +38,7 @@ class SgpnConfig:
         self.trunk_config()
 
     def trunk_config(self) -> PointNetConfig | DgcnnConfig:
-        """Return the chosen trunk's sizes."""
+        """Return the sizes of the trunk."""
         if self.trunk == "pointnet":
             return PointNetConfig(in_channels=self.in_channels, widths=(64, 64, 64, 128, self.global_width))
         return DgcnnConfig(
@@ -53,8 +53,8 @@ class SgpnConfig:
 class Sgpn(nn.Module):
     """Similarity group proposal network.
 
-    Source: Wang et al., "SGPN", CVPR 2018, heads as in its released code: each is one layer with ReLU and without batch
-    normalisation on the trunk's features; the trunk is exchanged as in section III.A of the paper.
+    Source: Wang et al., "SGPN", CVPR 2018. As in its released code, each head is a layer with ReLU and without batch
+    normalisation on the features of the trunk. The trunk is chosen as in section III.A of the paper.
     """
 
     def __init__(self, config: SgpnConfig | None = None) -> None:
@@ -70,10 +70,10 @@ class Sgpn(nn.Module):
         )
 
     def forward(self, points_BNC: Tensor) -> PointOutputs:
-        """Return what the heads say, in the points' dtype also under autocast.
+        """Return the outputs of the heads, in the dtype of the points also under autocast.
 
         Raises:
-            ValueError: The points' shape does not fit the config, or PointNet is trained with a single cloud.
+            ValueError: The shape of the points does not fit the config, or PointNet is trained with a single cloud.
         """
         features_BNF = self.trunk(points_BNC)
         dtype = points_BNC.dtype
@@ -85,17 +85,18 @@ class Sgpn(nn.Module):
 
 
 def similarity_matrix(embedding_BNF: Tensor, distance: Distance = "l2") -> Tensor:
-    """Return (..., N, N) pairwise distances S of a (..., N, F) embedding; 0 is most alike.
+    """Return the similarity matrix S: (..., N, N) pairwise distances in a (..., N, F) embedding, 0 for equal points.
 
     Args:
-        embedding_BNF: Where the points lie.
+        embedding_BNF: Embedding of the points.
         distance: ``l2`` is ``|df|`` (eq. (1) of the paper), ``scaled_square`` ``10 |df|^2`` (SGPN's released code).
 
     Raises:
         ValueError: There is no such distance.
 
-    Note: O(N^2) memory; differences are taken before squaring, so the diagonal is exactly 0. Coinciding pairs get
-    gradient 0, not NaN.
+    Note:
+        Memory is O(N^2). Differences are taken before squaring, so the diagonal is exactly 0. Coinciding pairs have
+        gradient 0, not NaN.
     """
     if distance not in get_args(Distance):
         raise ValueError(f"distance must be one of {get_args(Distance)}, got {distance!r}")

@@ -29,17 +29,17 @@ BLOCK_ELEMENTS = {"cpu": 1 << 20, "cuda": 1 << 24}  # pairs at once: within a CP
 
 @dataclass(frozen=True, kw_only=True)
 class PairLossConfig:
-    """Which pair loss, and its constants (section IV of the paper)."""
+    """Equation and constants of the pair loss (section IV of the paper)."""
 
-    kind: Kind = "focal_double_hinge"  # eq. (2), or SGPN's double hinge, eq. (1)
+    kind: Kind = "focal_double_hinge"  # eq. (2), or eq. (1) for SGPN's double hinge
     distance: Distance = "l2"  # D of the equations: ||df||_2 as printed, or 10 ||df||^2 as in SGPN's code
-    same: float = 5.0  # M1: pairs of one instance nearer than this cost nothing; the double hinge ignores it
-    other: float = 10.0  # M2 (K1): pairs of two instances of a class farther apart than this cost nothing
-    category: float = 80.0  # M3 (K2): the same for pairs of two classes
+    same: float = 5.0  # M1: distance below which pairs of one instance cost nothing; the double hinge ignores it
+    other: float = 10.0  # M2 (K1): distance above which pairs of two instances of a class cost nothing
+    category: float = 80.0  # M3 (K2): distance above which pairs of two classes cost nothing
     beta: float = 2.0  # weight of pairs of one instance in eq. (2)
-    anchors: int | None = 256  # points per cloud whose pairs are computed; None: all of them
-    reach: float | None = None  # of case 2 in 3-D, in the points' unit: pairs this far apart cost nothing; None: any
-    weighting: Weighting = "none"  # of a pair: 1, or w_i w_j with w = points of the cloud / points of the instance
+    anchors: int | None = 256  # number of points per cloud whose pairs are computed; None for all
+    reach: float | None = None  # distance in space, in the unit of the points, from which on case 2 costs nothing
+    weighting: Weighting = "none"  # weight of a pair: 1, or w_i w_j with w = points of the cloud / of the instance
 
     def __post_init__(self) -> None:
         _require_choice("kind", self.kind, Kind)
@@ -56,19 +56,19 @@ class PairLossConfig:
 
     @property
     def threshold(self) -> float:
-        """Distance within which two points count as grouped: K1 as in SGPN, or midway between M1 and M2."""
+        """Distance below which two points are similar: K1 as in SGPN, or the mean of M1 and M2."""
         return self.other if self.kind == "double_hinge" else (self.same + self.other) / 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class AlphaSchedule:
-    """Weight of pairs of two instances over the epochs: it rises by ``step`` every ``every`` epochs up to ``limit``."""
+    """Weight alpha of pairs of two instances: it rises by ``step`` every ``every`` epochs up to ``limit``."""
 
-    kind: Rise = "linear"  # steadily as in SGPN's code, in steps as in the paper's text, or not at all
+    kind: Rise = "linear"  # linear as in SGPN's code, stepped as in the paper's text, or constant
     start: float = 2.0  # alpha of epoch 0
-    step: float = 2.0
-    every: float = 5.0  # epochs
-    limit: float = 10.0
+    step: float = 2.0  # increase of alpha
+    every: float = 5.0  # number of epochs between increases
+    limit: float = 10.0  # largest alpha
 
     def __post_init__(self) -> None:
         _require_choice("kind", self.kind, Rise)
@@ -78,7 +78,11 @@ class AlphaSchedule:
             raise ValueError(f"alpha must rise by 0 or more every so many epochs, got {self.step} every {self.every}")
 
     def __call__(self, epoch: float) -> float:
-        """Return alpha; ``epoch`` counts from 0 and may be fractional, negative it raises ``ValueError``."""
+        """Return alpha at an epoch, which counts from 0 and may be fractional.
+
+        Raises:
+            ValueError: ``epoch`` is negative.
+        """
         if not epoch >= 0:
             raise ValueError(f"epoch must not be negative, got {epoch}")
         if self.kind == "constant":
@@ -108,10 +112,10 @@ def pair_loss(
     attributes: PointAttributes | None = None,
     generator: torch.Generator | None = None,
 ) -> Tensor:
-    """Return L_SIM, eq. (1) or (2) of the paper, as a mean over the ordered pairs of points (i, i included).
+    """Return L_SIM, eq. (1) or (2) of the paper, as a mean over the ordered pairs of points, (i, i) included.
 
-    Differs from SGPN's code: pairs of two classes are case 3 even with one instance id, and inverse frequencies are
-    counted per cloud instead of per batch, where instances of different clouds share their numbers.
+    Differs from SGPN's code: pairs of two classes are case 3 even with one instance id. Inverse frequencies are counted
+    per cloud; in a batch, instances of different clouds have the same ids.
 
     Args:
         embedding_BNF: Embedding F_SIM in any floating type; half precisions are computed in float32.
@@ -122,13 +126,14 @@ def pair_loss(
         generator: Source of the anchors' draws; None for torch's own.
 
     Returns:
-        A scalar. With anchors its expectation, and its gradient's, over the draws are those of all pairs.
+        A scalar. With anchors, the expectations of its value and its gradient over the draws are those of all pairs.
 
     Raises:
         ValueError: Shapes do not agree, ``alpha`` is not positive, or ``config.reach`` has no points to measure.
 
     Note:
-        Anchors x N pairs, taken in blocks, so that all pairs need no more memory. No second derivatives.
+        It computes anchors x N pairs in blocks, so memory does not grow with the anchors. There are no second
+        derivatives.
     """
     ids_BN = _require_inputs(embedding_BNF, instance_ids_BN)
     class_ids_BN, points_BN3 = attributes or PointAttributes()
@@ -162,15 +167,16 @@ def confidence_loss(
 ) -> Tensor:
     """Return L_CF: mean squared difference between the confidence of a point and the IoU of the group it proposes.
 
-    The proposal of i is {j: D_ij < threshold}; its IoU with the instance of i is a target, without gradient.
+    The group that point i proposes is {j: D_ij < threshold}. Its IoU with the instance of i is a target without
+    gradient.
 
     Args:
-        confidence_BN: In (0, 1).
-        embedding_BNF: F_SIM, any floating type.
-        instance_ids_BN: -1 for void, which is not proposed either.
-        config: Reading of D, and the number of anchors: points per cloud whose IoU is computed, unbiased as above.
-        threshold: In the unit of D; None for ``config.threshold``.
-        generator: Draws the anchors.
+        confidence_BN: Confidence of each point in (0, 1).
+        embedding_BNF: Embedding F_SIM in any floating type.
+        instance_ids_BN: Instance of each point, -1 for void, which no point proposes.
+        config: Distance D, and the number of anchors per cloud whose IoU is computed, without bias.
+        threshold: Largest distance D in a proposal; None for ``config.threshold``.
+        generator: Source of the anchors' draws; None for torch's own.
 
     Raises:
         ValueError: Shapes do not agree, or the threshold is not positive.
@@ -189,7 +195,7 @@ def confidence_loss(
 
 
 def semantic_loss(semantics_BNS: Tensor, class_ids_BN: Tensor) -> Tensor:
-    """Return L_SEM, the cross entropy of the (B, N, S) logits; class -1 is void. With S = 1 it is 0."""
+    """Return L_SEM, the cross entropy of the (B, N, S) logits, where class -1 is void; with S = 1 it is 0."""
     _require_shape("semantics_BNS", semantics_BNS, (*class_ids_BN.shape, semantics_BNS.shape[-1]))
     logits_BSN = _exact(semantics_BNS).mT
     entropy_BN = functional.cross_entropy(logits_BSN, class_ids_BN.long(), ignore_index=-1, reduction="none")
@@ -197,13 +203,13 @@ def semantic_loss(semantics_BNS: Tensor, class_ids_BN: Tensor) -> Tensor:
 
 
 def offset_loss(offsets_BN3: Tensor, targets_BN3: Tensor, instance_ids_BN: Tensor, delta: float = 0.1) -> Tensor:
-    """Return the Huber loss of the offsets to the part's centre, summed over the coordinates.
+    """Return the Huber loss of the offsets to the centre of the part, summed over the coordinates.
 
     Args:
-        offsets_BN3: Predicted, in units of d_max.
-        targets_BN3: True ones, same unit; those of void points may be anything.
-        instance_ids_BN: -1 for void.
-        delta: Error from which on it grows linearly, with slope ``delta``.
+        offsets_BN3: Predicted offsets in units of d_max.
+        targets_BN3: True offsets in units of d_max; those of void points are ignored.
+        instance_ids_BN: Instance of each point, -1 for void.
+        delta: Error above which the loss grows linearly, with slope ``delta``.
 
     Raises:
         ValueError: Shapes do not agree, or ``delta`` is not positive.
@@ -214,7 +220,7 @@ def offset_loss(offsets_BN3: Tensor, targets_BN3: Tensor, instance_ids_BN: Tenso
         raise ValueError(f"delta must be positive, got {delta}")
     valid_BN = instance_ids_BN >= 0
     offsets_BN3 = _exact(offsets_BN3)
-    # A NaN target would reach the gradient through a mask after the Huber loss, so it goes before.
+    # Void targets are replaced before the Huber loss: a NaN would reach the gradient through a later mask.
     targets_BN3 = torch.where(valid_BN[..., None], targets_BN3.to(offsets_BN3.dtype), offsets_BN3.detach())
     return _mean(functional.huber_loss(offsets_BN3, targets_BN3, reduction="none", delta=delta).sum(-1), valid_BN)
 
@@ -231,10 +237,10 @@ class _Pairs(NamedTuple):
 
 
 class _PairSum(torch.autograd.Function):
-    """Weighted sum of l(i, j) with its gradient in closed form, which forward finds along the way.
+    """Weighted sum of l(i, j), whose gradient the forward pass computes in closed form.
 
     With g_aj = dl/d|f_a - f_j|^2 times both weights, the gradient by f_a is 2 (f_a sum_j g_aj - sum_j g_aj f_j), and
-    alike by f_j. Features weighted and followed by their weight give both sums in one product.
+    likewise by f_j. Weighted features with their weight appended give both sums in one product.
     """
 
     @staticmethod
@@ -267,7 +273,7 @@ class _PairSum(torch.autograd.Function):
 
 
 def _cases(pairs: _Pairs, index_BR: Tensor, config: PairLossConfig) -> _Cases:
-    """Return which pairs are of one instance, of two classes, and of case 2 out of reach; None where none can be."""
+    """Return masks of the pairs of one instance, of two classes, and of case 2 out of reach; None if impossible."""
     same_BRN = pairs.ids_BN.gather(1, index_BR)[..., None] == pairs.ids_BN[:, None]
     differs_BRN = free_BRN = None
     if pairs.class_ids_BN is not None:
@@ -318,7 +324,7 @@ def _proposal_iou(embedding_BNF: Tensor, ids_BN: Tensor, anchors_BA: Tensor, lim
 
 
 def _squared_distances(anchor_BRC: Tensor, points_BNC: Tensor) -> Tensor:
-    """Return (B, R, N). The expansion cancels badly for near pairs, so it is taken in the float64 it is given."""
+    """Return the (B, R, N) squared distances. The expansion cancels for near pairs, so inputs must be float64."""
     norms_BR1, norms_B1N = anchor_BRC.square().sum(2)[..., None], points_BNC.square().sum(2)[:, None]
     return torch.baddbmm(norms_B1N, anchor_BRC, points_BNC.mT, alpha=-2).add_(norms_BR1).clamp_min_(0)
 
@@ -330,7 +336,7 @@ def _blocks(anchors_BA: Tensor, points: int) -> Iterator[slice]:
 
 
 def _exact(values: Tensor) -> Tensor:
-    """Return half precisions as float32."""
+    """Return half precision as float32; other types are unchanged."""
     return values.to(torch.promote_types(values.dtype, torch.float32))
 
 
@@ -339,7 +345,7 @@ def _take(values_BNC: Tensor, index_BR: Tensor) -> Tensor:
 
 
 def _per_cloud(count_B1: Tensor) -> Tensor:
-    """Return weights that make sums over points means over points, then over the clouds that have any."""
+    """Return weights that turn sums over points into means over points, then over the clouds that have points."""
     filled_B1 = count_B1 > 0
     return filled_B1 / (count_B1.clamp_min(1) * filled_B1.sum().clamp_min(1)).double()
 
