@@ -1,4 +1,4 @@
-"""What may change in a scene without changing what is in it."""
+"""Augmentation of training scenes."""
 
 from dataclasses import dataclass
 
@@ -10,15 +10,15 @@ from perception.geometry import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class AugmentConfig:
-    """How much a training scene is varied."""
+    """Strength of the augmentation."""
 
-    turn: bool = True  # about the optical axis, by any angle
-    mirror: bool = True  # half of the scenes
-    scale: float = 0.05  # largest relative change of the part's size in cells
-    jitter: float = 0.002  # standard deviation of the points' depth, in units of d_max
-    patches: int = 6  # most round patches whose boundary points are dropped
-    patch_radius: float = 0.15  # largest, in units of d_max
-    thinning: float = 0.3  # largest share of the boundary points dropped at random
+    turn: bool = True  # rotate about the optical axis by any angle
+    mirror: bool = True  # mirror half of the scenes
+    scale: float = 0.05  # largest relative change of the size of a part in cells
+    jitter: float = 0.002  # standard deviation of the noise on depth, in units of d_max
+    patches: int = 6  # largest number of round patches whose boundary points are dropped
+    patch_radius: float = 0.15  # largest radius of a patch, in units of d_max
+    thinning: float = 0.3  # largest share of the boundary points that is dropped at random
 
     def __post_init__(self) -> None:
         for name in ("jitter", "patch_radius"):
@@ -35,7 +35,7 @@ NONE = AugmentConfig(turn=False, mirror=False, scale=0.0, jitter=0.0, patches=0,
 
 
 def draw_turn(config: AugmentConfig, rng: np.random.Generator) -> Floats:
-    """Draw a (2, 2) rotation in the image, mirrored or not."""
+    """Draw a (2, 2) rotation in the image plane, or a rotation with a reflection."""
     angle = rng.uniform(0.0, 2 * np.pi) if config.turn else 0.0
     cosine, sine = np.cos(angle), np.sin(angle)
     flip = -1.0 if config.mirror and rng.random() < 0.5 else 1.0
@@ -45,7 +45,14 @@ def draw_turn(config: AugmentConfig, rng: np.random.Generator) -> Floats:
 def draw_kept(
     points: NDArray[np.floating], d_max: float, config: AugmentConfig, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """Draw the (N,) mask of boundary points that stay: some are thinned out, some lie in dropped patches."""
+    """Draw the (N,) mask of the boundary points that are kept, by random thinning and dropped patches.
+
+    Args:
+        points: (N, 3) boundary points [m].
+        d_max: Largest extent of the part [m].
+        config: Strength of the augmentation.
+        rng: Source of the draws.
+    """
     kept: NDArray[np.bool_] = rng.random(len(points)) >= rng.uniform(0.0, config.thinning)
     for _ in range(int(rng.integers(0, config.patches + 1)) if len(points) else 0):
         centre = points[rng.integers(len(points))]

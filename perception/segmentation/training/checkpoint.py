@@ -1,4 +1,4 @@
-"""The whole state of a training in one safetensors file, from which it goes on as if it had never stopped."""
+"""Checkpoints: the complete state of a training in one safetensors file, from which it is resumed to the bit."""
 
 import json
 from dataclasses import asdict
@@ -15,7 +15,7 @@ from perception.segmentation.training.loop import Trainer
 
 
 class CheckpointError(RecordError):
-    """A file does not hold a whole checkpoint of this training."""
+    """A file does not hold a complete checkpoint of this training."""
 
 
 FORMAT = RecordFormat(
@@ -24,7 +24,7 @@ FORMAT = RecordFormat(
 
 
 def save_checkpoint(path: Path, trainer: Trainer) -> None:
-    """Write network, average, optimizer, step and time in one piece."""
+    """Write network, average, optimizer, step and elapsed time, atomically."""
     tensors: dict[str, Tensor] = {}
     for prefix, module in (("network", trainer.network), ("averaged", trainer.averaged)):
         tensors |= {f"{prefix}/{name}": value for name, value in module.state_dict().items()}
@@ -35,12 +35,13 @@ def save_checkpoint(path: Path, trainer: Trainer) -> None:
 
 
 def load_checkpoint(path: Path, trainer: Trainer) -> None:
-    """Put ``trainer`` where the checkpoint's training stood.
+    """Set ``trainer`` to the state in a checkpoint.
 
     Raises:
-        CheckpointError: The file is damaged, or of a training with other settings or scenes; the text names them.
+        CheckpointError: The file is damaged, or belongs to a training with other settings or scenes, which the message
+            names.
     """
-    facts, tensors = FORMAT.load_tensors(path, _whole)
+    facts, tensors = FORMAT.load_tensors(path, _with_numbers)
     mine = _identity(trainer)
     different = [
         f"{name}: {facts.get(name)} there, {mine[name]} here" for name in mine if facts.get(name) != mine[name]
@@ -50,20 +51,20 @@ def load_checkpoint(path: Path, trainer: Trainer) -> None:
             f"{path} belongs to another training ({'; '.join(different)}); choose another --out, or delete it"
         )
     try:
-        trainer.network.load_state_dict(_under(tensors, "network/"))
-        trainer.averaged.load_state_dict(_under(tensors, "averaged/"))
+        trainer.network.load_state_dict(_with_prefix(tensors, "network/"))
+        trainer.averaged.load_state_dict(_with_prefix(tensors, "averaged/"))
         trainer.optimizer.load_state_dict({**trainer.optimizer.state_dict(), "state": _optimizer_state(tensors)})
     except (RuntimeError, KeyError, ValueError) as error:
         raise CheckpointError(f"{path} does not fit the network of its own settings ({error})") from error
     trainer.step, trainer.elapsed = facts["step"], facts["elapsed"]
 
 
-def _whole(facts: dict[str, Any], tensors: dict[str, Tensor]) -> tuple[dict[str, Any], dict[str, Tensor]]:
+def _with_numbers(facts: dict[str, Any], tensors: dict[str, Tensor]) -> tuple[dict[str, Any], dict[str, Tensor]]:
     return {**facts, "step": int(facts["step"]), "elapsed": float(facts["elapsed"])}, tensors
 
 
 def _identity(trainer: Trainer) -> dict[str, Any]:
-    """Return what must be the same for a training to go on as if it had never stopped, as JSON holds it."""
+    """Return the settings that a resumed training must share, as JSON holds them."""
     values = {
         "version": FORMAT.version,
         **asdict(trainer.config),
@@ -78,11 +79,11 @@ def _identity(trainer: Trainer) -> dict[str, Any]:
 
 def _optimizer_state(tensors: dict[str, Tensor]) -> dict[int, dict[str, Tensor]]:
     state: dict[int, dict[str, Tensor]] = {}
-    for name, value in _under(tensors, "optimizer/").items():
+    for name, value in _with_prefix(tensors, "optimizer/").items():
         index, _, field = name.partition("/")
         state.setdefault(int(index), {})[field] = value
     return state
 
 
-def _under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+def _with_prefix(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)}

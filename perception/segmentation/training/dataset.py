@@ -1,4 +1,4 @@
-"""Training samples out of labelled scenes: a pure function of (scenes, seed, step)."""
+"""Training samples from labelled scenes, a pure function of scenes, seed and step."""
 
 import hashlib
 import json
@@ -23,21 +23,21 @@ from perception.segmentation.training.augment import AugmentConfig, draw_kept, d
 from perception.segmentation.training.presets import TrainingConfig
 
 _log = logging.getLogger(__name__)
-CROP = 128  # coarse cells along a side of a training crop
-BORDER = 4  # cells at a crop's rim whose points are not learned from: their parts are cut
+CROP = 128  # side of a training crop [coarse cells]
+BORDER = 4  # width of the border of a crop whose points are not drawn, as their parts are cut off [coarse cells]
 
 Singles = NDArray[np.float32]
 
 
 class Batch(NamedTuple):
-    """Samples and their truth.
+    """A batch of samples and their truth.
 
     Attributes:
-        inputs: Of the network: points (B, N, 3) in units of d_max, or :class:`GridInputs`.
-        points_BN3: The points in units of d_max, camera axes.
-        instance_ids_BN: -1 for the container and for filling.
-        offsets_BN3: From each point to its part's centre, in units of d_max; None where they are not taught.
-        class_ids_BN: Semantic classes; None for the single class of a bin of parts.
+        inputs: Inputs of the network: (B, N, 3) points in units of d_max, or :class:`GridInputs`.
+        points_BN3: Points along the camera axes, in units of d_max.
+        instance_ids_BN: Instance of each point, -1 for void (the container, padding).
+        offsets_BN3: Offset from each point to the centre of its part, in units of d_max; None if they are not learned.
+        class_ids_BN: Semantic class of each point; None for the single class of a bin of parts.
     """
 
     inputs: Tensor | GridInputs
@@ -48,35 +48,35 @@ class Batch(NamedTuple):
 
 
 class BatchSource(Protocol):
-    """What a training takes its batches from: parts in bins here, rooms in :mod:`perception.s3dis.data.dataset`."""
+    """Source of batches: parts in bins here, rooms in :mod:`perception.s3dis.data.dataset`."""
 
     @property
     def scenes(self) -> Sequence[object]:
-        """Return what samples are drawn of; an epoch draws as many."""
+        """Return the scenes that samples are drawn from; an epoch draws as many samples."""
 
     @property
     def rank(self) -> int:
-        """Return which of the processes that train together this is."""
+        """Return the index of this process among those that train together."""
 
     def digest(self) -> str:
-        """Return what tells these scenes from others."""
+        """Return a digest that identifies the scenes."""
 
     def __call__(self, step: int) -> Batch:
-        """Return the batch of ``step``: the same bits at every call."""
+        """Return the batch of ``step``, which is the same at every call."""
 
 
 @dataclass(frozen=True, eq=False)
 class PackedScene:
-    """What training needs of a :class:`BoundaryScene` of N points and P parts, in little memory.
+    """The fields of a :class:`BoundaryScene` that training needs, in little memory: N points, P parts.
 
     Attributes:
-        name: Folder and name of its file; "" if it has none.
-        surface: (h, w) depth of the fine cells [m], 0 for none.
+        name: Folder and name of the file; "" for a scene without a file.
+        surface: (h, w) depth of the fine cells [m], 0 where there is none.
         place_fine: (N, 2) column and row of each point in fine cells.
-        points: (N, 3) camera frame [m].
+        points: (N, 3) boundary points in the camera frame [m].
         instance_ids: (N,) part of each point, -1 for the container.
-        centres: (P, 3) camera frame [m].
-        d_max: The part's largest extent [m].
+        centres: (P, 3) centres of the parts in the camera frame [m].
+        d_max: Largest extent of the part [m].
     """
 
     name: str
@@ -89,7 +89,7 @@ class PackedScene:
 
     @classmethod
     def pack(cls, scene: BoundaryScene, name: str = "") -> "PackedScene":
-        """Drop what training does not read."""
+        """Return the packed form of a scene."""
         return cls(
             name=name,
             surface=scene.surface.depth.astype(np.float32),
@@ -103,6 +103,10 @@ class PackedScene:
 
 def load_packed(paths: Sequence[Path], progress: Callable[[], object] | None = None) -> list[PackedScene]:
     """Read scenes into memory, about 0.9 MB each; a damaged file is left out with a warning.
+
+    Args:
+        paths: Scene files.
+        progress: Called after each file.
 
     Raises:
         SceneError: No file holds a scene with boundary points.
@@ -130,7 +134,7 @@ def find_scenes(folders: Sequence[Path]) -> list[Path]:
     """Return the scene files of folders, in order.
 
     Raises:
-        FileNotFoundError: A folder holds none.
+        FileNotFoundError: A folder holds no scenes.
     """
     found: list[Path] = []
     for folder in folders:
@@ -144,12 +148,13 @@ def find_scenes(folders: Sequence[Path]) -> list[Path]:
 
 
 def split_scenes(folders: Sequence[Path], validation: Sequence[Path], held_out: int) -> tuple[list[Path], list[Path]]:
-    """Return the files to train and to validate on.
+    """Return the scene files to train on, and those to validate on.
 
     Args:
-        folders: To train on.
-        validation: Folders to validate on; without any, the first scenes of each of ``folders`` are kept for it.
-        held_out: How many, at most half of a folder; the first, so that they stay the same when a folder grows.
+        folders: Folders of scenes to train on.
+        validation: Folders of scenes to validate on. Without any, the first scenes of each of ``folders`` are held out.
+        held_out: Number of scenes held out of each folder, at most half of it. They are the first ones, so that they
+            stay the same when a folder grows.
 
     Raises:
         FileNotFoundError: A folder holds no scenes.
@@ -163,28 +168,28 @@ def split_scenes(folders: Sequence[Path], validation: Sequence[Path], held_out: 
 
 
 def scene_sources(paths: Sequence[Path]) -> list[dict[str, Any]]:
-    """Return for each folder of ``paths`` what its note says (part, seed, sensor ...) and how many scenes are used."""
+    """Return for each folder of scenes its settings (part, seed, sensor ...) and the number of scenes used."""
     sources: list[dict[str, Any]] = []
     for folder in dict.fromkeys(path.parent for path in paths):
         try:
             note = json.loads((folder / SCENES_NOTE).read_text())
         except (OSError, ValueError):
-            note = {}  # scenes of another maker
+            note = {}  # scenes that generate_scenes did not make
         known = {name: note.get(name) for name in ("part", "seed", "sensor", "num_parts", "jitter")}
         sources.append({**known, "scenes": sum(path.parent == folder for path in paths)})
     return sources
 
 
 class GridSample(NamedTuple):
-    """One crop of N points; cells, place and local are :class:`perception.segmentation.networks.grid.GridView`'s.
+    """A crop of a scene with N points; see :class:`perception.segmentation.networks.grid.GridView`.
 
     Attributes:
-        cells: (CHANNELS, CROP, CROP).
-        place: (N, 2).
-        local: (N, LOCAL).
-        points: (N, 3) turned camera axes, about the crop's focus, in units of d_max.
-        instance_ids: (N,) -1 for the container.
-        offsets: (N, 3) to the parts' centres, axes and unit of ``points``.
+        cells: (CHANNELS, CROP, CROP) channels of the coarse cells.
+        place: (N, 2) column and row of each point in coarse cells.
+        local: (N, LOCAL) local features of each point.
+        points: (N, 3) points relative to the focus of the crop, along the rotated camera axes, in units of d_max.
+        instance_ids: (N,) part of each point, -1 for the container.
+        offsets: (N, 3) offset from each point to the centre of its part, in the axes and unit of ``points``.
     """
 
     cells: Singles
@@ -196,9 +201,15 @@ class GridSample(NamedTuple):
 
 
 def grid_sample(scene: PackedScene, count: int, augment: AugmentConfig, rng: np.random.Generator) -> GridSample:
-    """Cut a turned window out of a scene around one of its points, and draw ``count`` of the points in it.
+    """Draw a rotated crop around one of the points of a scene, and ``count`` of the points in it.
 
-    Points may repeat where there are fewer.
+    Points are repeated if there are fewer.
+
+    Args:
+        scene: Scene to draw from.
+        count: Number of points of the sample.
+        augment: Strength of the augmentation.
+        rng: Source of the draws.
     """
     turn = draw_turn(augment, rng)
     stretch = 1.0 + rng.uniform(-augment.scale, augment.scale)
@@ -235,9 +246,9 @@ def grid_sample(scene: PackedScene, count: int, augment: AugmentConfig, rng: np.
 
 
 def _chances(instance_ids: NDArray[np.int16]) -> Floats:
-    """Return each point's chance to be drawn: an instance's share grows with the root of its size.
+    """Return the probability of each point to be drawn: an instance's share is proportional to the root of its size.
 
-    Average precision counts a part that is hardly seen as much as one that lies free.
+    Average precision counts a part that is mostly occluded as much as one that is fully visible.
     """
     sizes = np.bincount(instance_ids + 1)
     chances = 1.0 / np.sqrt(sizes[instance_ids + 1])
@@ -246,7 +257,7 @@ def _chances(instance_ids: NDArray[np.int16]) -> Floats:
 
 
 def _warped(surface: Singles, turn: Floats, middle: Floats, side: int) -> Singles:
-    """Return the (side, side) window of the surface around ``middle``, turned, sampled at the nearest cell."""
+    """Return the (side, side) window of the surface around ``middle``, rotated and sampled at the nearest cell."""
     inverse = np.linalg.inv(turn)
     shift = middle - 0.5 + inverse @ np.full(2, 0.5 - side / 2)
     matrix = np.column_stack([inverse, shift])
@@ -255,7 +266,7 @@ def _warped(surface: Singles, turn: Floats, middle: Floats, side: int) -> Single
 
 
 class CloudSample(NamedTuple):
-    """A subset of N points of a whole scene; shapes, axes and units are those of :class:`GridSample`."""
+    """A random subset of the points of a scene; shapes, axes and units are those of :class:`GridSample`."""
 
     points: Singles
     instance_ids: NDArray[np.int64]
@@ -263,7 +274,7 @@ class CloudSample(NamedTuple):
 
 
 def cloud_sample(scene: PackedScene, count: int, augment: AugmentConfig, rng: np.random.Generator) -> CloudSample:
-    """Draw ``count`` points of a whole scene, as the paper's networks are fed; points may repeat if there are fewer."""
+    """Draw ``count`` points of a scene, the input of the paper's networks; points are repeated if there are fewer."""
     turn = draw_turn(augment, rng)
     unit = scene.d_max * (1.0 + rng.uniform(-augment.scale, augment.scale))
     kept = np.nonzero(draw_kept(scene.points, scene.d_max, augment, rng))[0]
@@ -279,16 +290,16 @@ def cloud_sample(scene: PackedScene, count: int, augment: AugmentConfig, rng: np
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BatchMaker:
-    """Makes the batch of any step out of scenes in memory.
+    """Source of batches from scenes in memory.
 
     Attributes:
-        scenes: To draw from.
-        kind: Crops for the image-plane network, or subsets of whole clouds.
-        batch: Samples of a step.
-        points: Points of a sample.
-        augment: How much they vary.
-        seed: Of everything that is drawn.
-        rank: Of this process among several that train together.
+        scenes: Scenes to draw from.
+        kind: Kind of samples: crops for the image-plane network, or subsets of clouds.
+        batch: Number of samples in a batch.
+        points: Number of points in a sample.
+        augment: Strength of the augmentation.
+        seed: Seed of everything that is drawn.
+        rank: Index of this process among those that train together.
     """
 
     scenes: Sequence[PackedScene]
@@ -301,7 +312,7 @@ class BatchMaker:
 
     @classmethod
     def of(cls, config: TrainingConfig, scenes: Sequence[PackedScene], rank: int = 0) -> "BatchMaker":
-        """Return what makes the batches of a training."""
+        """Return the source of batches of a training."""
         return cls(
             scenes=scenes,
             kind=config.kind,
@@ -313,11 +324,11 @@ class BatchMaker:
         )
 
     def digest(self) -> str:
-        """Return a SHA-256 over the names of the scenes, in order: other scenes are another training."""
+        """Return a SHA-256 over the names of the scenes, in order."""
         return hashlib.sha256("\n".join(scene.name for scene in self.scenes).encode()).hexdigest()
 
     def __call__(self, step: int) -> Batch:
-        """Return the batch of ``step``: the same bits at every call."""
+        """Return the batch of ``step``, which is the same at every call."""
         rng = np.random.default_rng(np.random.SeedSequence([self.seed, self.rank, step]))
         chosen = [self.scenes[k] for k in rng.integers(len(self.scenes), size=self.batch)]
         if self.kind == "cloud":

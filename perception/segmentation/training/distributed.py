@@ -1,4 +1,4 @@
-"""Several processes that train one network: torch.distributed under torchrun."""
+"""Training of a network by several processes: torch.distributed under torchrun."""
 
 import os
 from collections.abc import Iterator
@@ -8,17 +8,17 @@ from datetime import timedelta
 
 import torch
 
-PATIENCE = timedelta(hours=2)  # of the processes that wait while the first one evaluates
+PATIENCE = timedelta(hours=2)  # time that processes wait for the first one, which evaluates
 
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Which of the processes this is; alone, it is the first.
+    """Place of this process among those that train together.
 
     Attributes:
-        rank: Among all processes.
-        local_rank: Among those of this machine.
-        world: How many there are.
+        rank: Index among all processes.
+        local_rank: Index among the processes of this machine.
+        world: Number of processes.
     """
 
     rank: int = 0
@@ -28,7 +28,7 @@ class Place:
 
 @contextmanager
 def processes() -> Iterator[Place]:
-    """Join the processes that torchrun started, if it did; afterwards leave them."""
+    """Join the processes that torchrun started for the duration of the context; without torchrun, do nothing."""
     if not torch.distributed.is_torchelastic_launched():
         yield Place()
         return
@@ -37,7 +37,7 @@ def processes() -> Iterator[Place]:
     )
     if torch.cuda.is_available():
         torch.cuda.set_device(place.local_rank)
-    torch.distributed.init_process_group(timeout=PATIENCE)  # gloo for tensors of the processor, nccl for a GPU's
+    torch.distributed.init_process_group(timeout=PATIENCE)  # gloo for tensors on the CPU, nccl on a GPU
     try:
         yield place
     finally:

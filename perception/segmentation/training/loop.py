@@ -1,4 +1,4 @@
-"""The training loop: a step is a pure function of (state, scenes, seed, step), so that it resumes to the bit."""
+"""The training loop. A step is a pure function of state, scenes, seed and step, so a resumed training is identical."""
 
 import math
 import time
@@ -25,16 +25,21 @@ from perception.segmentation.training.losses import (
 from perception.segmentation.training.presets import TrainingConfig
 from perception.segmentation.weights import Network, build_network
 
-SKIPS = 10  # updates in a row that may be left out because a loss or gradient is not finite
+SKIPS = 10  # number of successive updates that may be skipped because a loss or gradient is not finite
 
 
 class TrainingError(RuntimeError):
-    """The training cannot go on."""
+    """The training cannot continue."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Length:
-    """When a training ends: after ``steps``, or after ``minutes`` of it; exactly one is given."""
+    """Length of a training; exactly one of the two is given.
+
+    Attributes:
+        steps: Number of steps.
+        minutes: Time of training [min].
+    """
 
     steps: int | None = None
     minutes: float | None = None
@@ -52,38 +57,38 @@ class Length:
 
 @dataclass(frozen=True, kw_only=True)
 class StepRecord:
-    """What one step did.
+    """Result of a training step.
 
     Attributes:
         step: Number of steps done.
-        progress: Share of the training in [0, 1].
-        losses: Unweighted terms, and the weighted ``total``.
-        rate: Learning rate.
-        norm: Of the gradient before clipping.
-        skipped: Whether the update was left out because something was not finite.
+        progress: Share of the training that was done before the step, in [0, 1].
+        losses: Unweighted terms of the loss, and the weighted ``total``.
+        learning_rate: Learning rate of the step.
+        norm: Norm of the gradient before clipping.
+        skipped: Whether the update was skipped because the gradient was not finite.
     """
 
     step: int
     progress: float
     losses: dict[str, float]
-    rate: float
+    learning_rate: float
     norm: float
     skipped: bool
 
 
 class Trainer:
-    """State and loop of one training; ``torch.distributed``'s processes each hold one, rank by rank."""
+    """State and loop of a training. Of processes that train together, each holds a trainer."""
 
     def __init__(
         self, config: TrainingConfig, batches: BatchSource, length: Length, device: torch.device | str = "cpu"
     ) -> None:
-        """Build network and optimizer; nothing is trained yet.
+        """Build the network and the optimizer.
 
         Args:
-            config: How to train.
-            batches: What to train on.
-            length: How long.
-            device: Where.
+            config: Settings of the training.
+            batches: Source of the batches.
+            length: Length of the training.
+            device: Device of the computation.
         """
         torch.manual_seed(config.seed)
         self.config, self.batches, self.length, self.device = config, batches, length, torch.device(device)
@@ -96,7 +101,7 @@ class Trainer:
         self.optimizer = _optimizer(config, self.network)
         self.step = 0
         self.elapsed = 0.0
-        self.whole = True  # whether the state is that between two steps
+        self.whole = True  # whether no step is under way, so that the state can be saved
         self._skips = 0
         self._parallel: nn.Module = self.network
         self.world = 1
@@ -105,21 +110,23 @@ class Trainer:
             self._parallel = nn.parallel.DistributedDataParallel(self.network)
 
     def start_from(self, network: Network) -> None:
-        """Take over the weights of another training, of the same network, as this one's first.
+        """Start from the weights of another training of the same network.
 
         Raises:
-            TrainingError: It is another network.
+            TrainingError: The configurations of the networks differ.
         """
         if network.config != self.network.config:
-            raise TrainingError(f"the first weights are of {network.config}, this training is of {self.network.config}")
+            raise TrainingError(
+                f"the initial weights are of {network.config}, this training is of {self.network.config}"
+            )
         self.network.load_state_dict(network.state_dict())
         self.averaged.load_state_dict(network.state_dict())
 
     def run(self) -> Iterator[StepRecord]:
-        """Train to the end, yielding after each step; the batch after is made meanwhile.
+        """Train to the end and yield after each step; the next batch is made in the background.
 
         Raises:
-            TrainingError: Losses stay infinite, or processes that train together do not stand at the same step.
+            TrainingError: Losses stay infinite, or processes that train together are at different steps.
         """
         self._require_one_step()
         with ThreadPoolExecutor(1) as ahead:
@@ -134,7 +141,7 @@ class Trainer:
 
     @property
     def progress(self) -> float:
-        """Share of the training that is done, the same in every process."""
+        """Share of the training that is done; it is the same in every process."""
         share = self.length.progress(self.step, self.elapsed)
         if self._parallel is not self.network and self.length.minutes is not None:
             agreed = torch.tensor(share, device=self.device)
@@ -144,11 +151,11 @@ class Trainer:
 
     @property
     def epoch(self) -> float:
-        """How often each scene has been drawn, on average."""
+        """Average number of times that a scene has been drawn."""
         return self.step * self.config.batch * self.world / len(self.batches.scenes)
 
     def best_network(self) -> Network:
-        """Return the weights to evaluate and to ship, in evaluation mode."""
+        """Return the network to evaluate and to save, in evaluation mode."""
         return self.averaged if self.config.ema is not None else self.network.eval()
 
     def _train(self, batch: Batch) -> StepRecord:
@@ -167,11 +174,11 @@ class Trainer:
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()  # type: ignore[no-untyped-call]
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), config.clip or math.inf)
-        finite = bool(torch.isfinite(norm))  # of the gradient that all processes share: they decide alike
+        finite = bool(torch.isfinite(norm))  # all processes share the gradient, so they decide alike
         if finite:
             self.optimizer.step()
             self._average()
-        else:  # the forward pass has put its statistics into the normalisation
+        else:  # the forward pass has changed the statistics of the normalisation
             for buffer, before in zip(self.network.buffers(), kept, strict=True):
                 buffer.copy_(before)
         self._count_skips(finite)
@@ -179,7 +186,7 @@ class Trainer:
         self.whole = True
         losses = {name: float(term.detach()) for name, (_, term) in terms.items()} | {"total": float(total.detach())}
         return StepRecord(
-            step=self.step, progress=progress, losses=losses, rate=rate, norm=float(norm), skipped=not finite
+            step=self.step, progress=progress, losses=losses, learning_rate=rate, norm=float(norm), skipped=not finite
         )
 
     def _terms(self, outputs: PointOutputs, batch: Batch) -> dict[str, tuple[float, Tensor]]:
@@ -212,7 +219,7 @@ class Trainer:
     def _average(self) -> None:
         if self.config.ema is None:
             return
-        # The first steps' weights are far from the last: the average's memory grows with the training.
+        # The first weights are far from the last ones, so the memory of the average grows with the training.
         decay = min(self.config.ema, (1 + self.step) / (10 + self.step))
         with torch.no_grad():
             theirs = self.network.state_dict()
@@ -229,8 +236,8 @@ class Trainer:
         torch.distributed.broadcast(first, 0)
         if int(first) != self.step:
             raise TrainingError(
-                f"process {self.batches.rank} stands at step {self.step}, the first one at {int(first)}: "
-                "--out must be one folder that all of them see"
+                f"process {self.batches.rank} is at step {self.step}, the first one at {int(first)}: "
+                "--out must be a folder that all processes share"
             )
 
     def _count_skips(self, finite: bool) -> None:
@@ -243,7 +250,7 @@ class Trainer:
 
 
 def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:
-    """Return the rate of a step: linear warm-up, then constant or a cosine over the whole training."""
+    """Return the learning rate of a step: a linear warm-up, then constant or a cosine over the training."""
     rate = config.learning_rate
     if config.schedule == "cosine":
         low = min(config.final_rate, rate)
@@ -252,7 +259,7 @@ def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:
 
 
 def to_device(batch: Batch, device: torch.device) -> Batch:
-    """Return the batch on ``device``."""
+    """Return a batch on ``device``."""
     inputs = batch.inputs
     moved = inputs.to(device) if isinstance(inputs, Tensor) else type(inputs)(*(array.to(device) for array in inputs))
     others: list[Any] = [None if array is None else array.to(device) for array in batch[1:]]

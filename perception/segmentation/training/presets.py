@@ -1,4 +1,4 @@
-"""How networks are trained: the paper's text, the lineage's released code, and ours."""
+"""Settings of a training, and presets: the paper's text, SGPN's released code, and ours."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -12,27 +12,27 @@ from perception.segmentation.training.losses import AlphaSchedule, PairLossConfi
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingConfig:
-    """Everything a training depends on besides its scenes and its length."""
+    """Settings of a training, besides its scenes and its length."""
 
-    network: GridNetConfig | SgpnConfig = field(default_factory=GridNetConfig)
-    pairs: PairLossConfig = field(default_factory=PairLossConfig)
-    alpha: AlphaSchedule = field(default_factory=AlphaSchedule)
-    augment: AugmentConfig = field(default_factory=AugmentConfig)
-    offset_weight: float = 0.0  # of the loss on offsets to the centre
-    confidence_weight: float = 1.0
-    semantic_weight: float = 1.0
-    optimizer: Literal["adam", "adamw"] = "adamw"
-    learning_rate: float = 1e-3
-    weight_decay: float = 0.01  # of adamw
-    schedule: Literal["constant", "cosine"] = "cosine"
-    warmup: int = 200  # steps over which the learning rate rises from 0
-    final_rate: float = 1e-5  # at the end of the cosine
-    batch: int = 8  # scenes a step, of each process
-    points: int = 2048  # of a scene
-    clip: float | None = 5.0  # largest norm of the gradient
-    ema: float | None = 0.999  # decay of the averaged weights that are evaluated and shipped; None: the last ones
-    bf16: bool = False  # run the trunk in bfloat16 where the processor knows it
-    seed: int = 0
+    network: GridNetConfig | SgpnConfig = field(default_factory=GridNetConfig)  # sizes of the network
+    pairs: PairLossConfig = field(default_factory=PairLossConfig)  # pair loss
+    alpha: AlphaSchedule = field(default_factory=AlphaSchedule)  # weight of pairs of two instances
+    augment: AugmentConfig = field(default_factory=AugmentConfig)  # augmentation of the scenes
+    offset_weight: float = 0.0  # weight of the loss of the offsets to the centre
+    confidence_weight: float = 1.0  # weight of the loss of the confidence
+    semantic_weight: float = 1.0  # weight of the loss of the semantic classes
+    optimizer: Literal["adam", "adamw"] = "adamw"  # adam has no weight decay
+    learning_rate: float = 1e-3  # largest learning rate
+    weight_decay: float = 0.01  # weight decay of adamw
+    schedule: Literal["constant", "cosine"] = "cosine"  # course of the learning rate after the warm-up
+    warmup: int = 200  # number of steps over which the learning rate rises from 0
+    final_rate: float = 1e-5  # learning rate at the end of the cosine
+    batch: int = 8  # number of scenes in a step of each process
+    points: int = 2048  # number of points drawn from a scene
+    clip: float | None = 5.0  # largest norm of the gradient; None for no limit
+    ema: float | None = 0.999  # decay of the averaged weights that are evaluated and saved; None for the last weights
+    bf16: bool = False  # compute the trunk in bfloat16 where the device is fast at it
+    seed: int = 0  # seed of the initial weights and of everything that is drawn
 
     def __post_init__(self) -> None:
         for name in ("offset_weight", "confidence_weight", "semantic_weight", "weight_decay", "warmup", "final_rate"):
@@ -48,12 +48,12 @@ class TrainingConfig:
 
     @property
     def kind(self) -> Literal["grid", "cloud"]:
-        """What the network is fed."""
+        """Kind of samples that the network takes: crops of the grid, or clouds of points."""
         return "grid" if isinstance(self.network, GridNetConfig) else "cloud"
 
 
-# "paper" is section IV's text to the letter: unsquared distances, alpha in steps, batches of 2 x 4096, 200 epochs.
-# "released" is what the code of the paper's lineage does: 10 d^2, a linear alpha, inverse frequencies, batch 4.
+# "paper" follows the text of section IV: distances not squared, alpha in steps, batches of 2 x 4096, 200 epochs.
+# "released" follows SGPN's released code: 10 d^2, a linear alpha, inverse frequencies, batches of 4.
 PRESETS: dict[PresetName, TrainingConfig] = {
     "paper": TrainingConfig(
         network=SgpnConfig(trunk="dgcnn"),
@@ -93,4 +93,4 @@ PRESETS: dict[PresetName, TrainingConfig] = {
         bf16=True,
     ),
 }
-EPOCHS = 200  # of the paper
+EPOCHS = 200  # number of epochs in the paper

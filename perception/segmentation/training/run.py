@@ -1,4 +1,4 @@
-"""One training from start to end, or from where it was stopped: checkpoints, evaluations, a log, the weights."""
+"""A complete training, new or resumed: checkpoints, evaluations, a log, the weights."""
 
 import json
 import time
@@ -27,16 +27,17 @@ WEIGHTS = "weights.safetensors"
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """What surrounds a training.
+    """Outputs of a training, and how often they are written.
 
     Attributes:
-        out: Folder of checkpoint, log and weights.
-        parts: Names of the parts that the network is for.
+        out: Folder of the checkpoint, the log and the weights.
+        parts: Names of the parts that the network is trained on.
         initial: Weights that the training starts from; None for random ones.
-        evaluate_every: Minutes of training between evaluations.
-        save_every: Minutes of training between checkpoints.
-        leader: Whether this process writes; one of several that train together does.
-        sources: What the scenes are, and what else to record; :func:`.dataset.scene_sources`.
+        evaluate_every: Time of training between evaluations [min].
+        save_every: Time of training between checkpoints [min].
+        leader: Whether this process writes files; of several processes that train together, one does.
+        sources: Description of the scenes for the record, as :func:`.dataset.scene_sources` returns it, and anything
+            else to record.
     """
 
     out: Path
@@ -56,16 +57,19 @@ class RunConfig:
 
 
 Log = dict[str, Any]
-Judge = Callable[[Network], dict[str, float]]  # what an evaluation finds
+Judge = Callable[[Network], dict[str, float]]  # returns the named scores of a network
 
 
 def resume(trainer: Trainer, config: RunConfig) -> bool:
-    """Go on from the folder's checkpoint; return whether there was one. Without, take the initial weights, if any.
+    """Resume a training from the checkpoint in its folder, or start it from the initial weights if there is none.
+
+    Returns:
+        Whether there was a checkpoint.
 
     Raises:
-        CheckpointError: It is damaged, or of another training.
+        CheckpointError: The checkpoint is damaged, or belongs to another training.
         WeightsError: The initial weights are missing or damaged.
-        TrainingError: They are of another network.
+        TrainingError: The initial weights are those of another network.
     """
     path = config.out / CHECKPOINT
     if not path.exists():
@@ -83,20 +87,24 @@ def train(
     on_step: Callable[[StepRecord], None] | None = None,
     on_evaluation: Callable[[Log], None] | None = None,
 ) -> Log:
-    """Train to the end, write the weights and return the log's last line.
+    """Train to the end and write the weights.
 
     Args:
-        trainer: Fresh, or resumed.
-        validation: Scene files that are not trained on, or whatever else judges a network; without, nothing does.
-        config: Where and how often.
-        on_step: Called after each step.
+        trainer: New or resumed training.
+        validation: Scene files that are not trained on, or a function that scores a network. Without files there is no
+            validation.
+        config: Outputs, and how often they are written.
+        on_step: Called after each step with its record.
         on_evaluation: Called with each line of the log.
 
+    Returns:
+        The last line of the log; empty for a process that does not lead.
+
     Raises:
-        TrainingError: The training diverged; the last checkpoint stays.
-        KeyboardInterrupt: The state is saved first; within a step, that of the last checkpoint stays.
+        TrainingError: The training diverged; the last checkpoint remains.
+        KeyboardInterrupt: The state is saved first; within a step, the last checkpoint remains.
     """
-    git_commit()  # asked for once: that of the code that trains, whatever is committed meanwhile
+    git_commit()  # cached now, so that commits made during the training do not change it
     saved = evaluated = trainer.elapsed
     losses: list[dict[str, float]] = []
     try:
@@ -125,7 +133,7 @@ def train(
 
 
 def training_record(trainer: Trainer, config: RunConfig, last: Log) -> Log:
-    """Return what stands beside the weights."""
+    """Return the record of a training that is stored with its weights."""
     return {
         "parts": list(config.parts),
         "training": asdict(trainer.config),
@@ -143,7 +151,13 @@ def training_record(trainer: Trainer, config: RunConfig, last: Log) -> Log:
 
 
 def validate(network: Network, paths: Sequence[Path], distance: str = "l2") -> dict[str, float]:
-    """Return ap, ap50, ap75 and ms_per_scene over scene files, their parts pooled."""
+    """Return ``ap``, ``ap50``, ``ap75`` and ``ms_per_scene`` of a network over scene files, all parts pooled.
+
+    Args:
+        network: Network to score.
+        paths: Scene files.
+        distance: Distance in the embedding that the network was trained with.
+    """
     grouping = GroupingConfig(distance="scaled_square" if distance == "scaled_square" else "l2")
     predictor = SegmentationPredictor(network, PredictorConfig(grouping=grouping), next(network.parameters()).device)
     matches, times = [], []

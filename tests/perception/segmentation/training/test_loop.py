@@ -218,7 +218,9 @@ def test_a_training_may_start_from_the_weights_of_another(tmp_path: Path) -> Non
     assert_same(weights(first), weights(second))
     train(second, [], config)
     assert load_record(config.out / WEIGHTS)["initial"]["steps"] == 2
-    with pytest.raises(TrainingError, match=r"the first weights are of GridNetConfig.*this training is of SgpnConfig"):
+    with pytest.raises(
+        TrainingError, match=r"the initial weights are of GridNetConfig.*this training is of SgpnConfig"
+    ):
         resume(trainer(CLOUD), replace(config, out=tmp_path / "third"))
 
 

@@ -14,7 +14,7 @@ LINE = {"step": 40, "minutes": 1.5, "losses": {}, "validation": {"ap50": 0.75}}
 def steps(display: TrainingDisplay) -> None:
     for step in range(1, 2 * EVERY + 1):
         losses = {"pairs": 0.5, "total": 1.25}
-        record = StepRecord(step=step, progress=step / 40, losses=losses, rate=1e-3, norm=2.0, skipped=False)
+        record = StepRecord(step=step, progress=step / 40, losses=losses, learning_rate=1e-3, norm=2.0, skipped=False)
         display.on_step(record)
 
 
