@@ -147,6 +147,9 @@ def test_jitter_moves_the_camera_within_bounds(captured: list[synthesis.Captured
     assert min(distances) > 0.845
     assert max(distances) < 0.955
     assert np.ptp(distances) > 0.08
+    directions = np.array([T_nominal[:3, :2].T @ pose[:3, 2] for pose in poses])  # to which side the camera is tilted
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    assert np.abs(directions.mean(axis=0)).max() < 0.2
 
 
 def test_without_jitter_camera_and_light_are_the_cells_own(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -367,3 +367,9 @@ def test_mistakes_of_pooling_are_named() -> None:
         }
         with pytest.raises(ValueError, match=name + r" must be"):
             SceneMatches(overlaps=MATCHED_OVERLAPS, truth_counts={}, **values)
+
+
+def test_a_percentile_interval_is_over_the_values_that_are_not_nan() -> None:
+    assert module.percentile_interval(np.append(np.nan, np.arange(101.0))) == pytest.approx((2.5, 97.5))
+    assert module.percentile_interval(np.array([np.nan, 0.3])) == (0.3, 0.3)
+    assert np.isnan(module.percentile_interval(np.array([np.nan]))).all()

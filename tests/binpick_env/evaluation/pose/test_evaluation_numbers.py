@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from binpick_env.evaluation.pose import table as table_module
 from binpick_env.evaluation.pose.ablation import PoseRow, pose_rows, tabulate_poses
 from binpick_env.evaluation.pose.ablation_table import pose_ablation_table
 from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig
@@ -15,7 +16,7 @@ from binpick_env.evaluation.pose.record import PoseRecord
 from binpick_env.evaluation.pose.scene_score import PoseSceneScore, worst_first
 from binpick_env.evaluation.pose.statistics import median, pose_counts, pose_intervals, reliability, resampled_quotients
 from binpick_env.evaluation.pose.summary import PoseSummary, summarise_poses
-from binpick_env.evaluation.pose.table import pose_table, table_three
+from binpick_env.evaluation.pose.table import pose_table, quantiles, table_three
 from binpick_env.evaluation.segmentation.summary import BANDS
 from binpick_env.scenes.synthesis import SceneConfig
 from perception.metrics.intervals import wilson_interval
@@ -250,6 +251,29 @@ def test_the_papers_table_is_beside_ours() -> None:
     assert rows["Total [ms]"] == ["–", "3311", "2977", "2169"]
     assert "3 trials in 1 scenes of seed 31" in " ".join(lines)
     assert "real scenes of other parts, on another machine" in " ".join(lines)
+
+
+def test_the_papers_total_is_from_a_frame_to_the_poses() -> None:
+    summary = summary_of(record())  # ms: boundary 1, surface 2, segmentation 3, poses 40, those of the trials 30
+    for perception, expected in (("learned", ["6", "30", "36"]), ("whole_scene", ["–", "40", "46"])):
+        lines = table_three(replace(summary, perception=perception)).splitlines()
+        rows = {line.split("  ")[0]: line.split()[-4] for line in lines[:5]}
+        assert [rows[f"{name} [ms]"] for name in ("Segmentation of a scene", "PPF-MEAM", "Total")] == expected
+
+
+def test_quantiles_are_a_dash_without_values() -> None:
+    assert quantiles({"median": 1.5, "p90": 1.8, "p95": 2.0}, "mm") == "median 1.50, 95 % under 2.00 mm"
+    assert quantiles(dict.fromkeys(("median", "p90", "p95"), np.nan), "mm") == "–"
+
+
+def test_unknown_commits_are_named_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_module, "git_commit", lambda: "")
+    text = " ".join(pose_table(summary_of(record())).split())
+    assert "scenes were evaluated by commit abc, this is unknown: --fresh evaluates them again" in text
+    assert "evaluated by commit" not in pose_table(replace(summary_of(record()), git_commits=[""]))
+    monkeypatch.setattr(table_module, "git_commit", lambda: "def")
+    text = pose_table(replace(summary_of(record()), git_commits=["", "abc"]))
+    assert "evaluated by commit unknown, abc, this is def" in text
 
 
 # --- ablation --------------------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from perception.metrics.matching import MATCHED_OVERLAPS, SceneMatches
 from perception.runtime.files import json_text
 from perception.segmentation.networks.grid_net import GridNetConfig
 from perception.segmentation.networks.sgpn import SgpnConfig
+from perception.segmentation.training.presets import PRESETS
 
 SCENES = SceneConfig(part="part_a", seed=7, num_parts=(2, 3), camera=CameraConfig(width=320, height=240))
 POINT = SgpnConfig(trunk="pointnet", embedding=8, branch=8, global_width=16)
@@ -139,6 +140,8 @@ def test_successive_rows_differ_in_one_setting() -> None:
     assert how["dgcnn"] == replace(how["sgpn"], network=SgpnConfig(trunk="dgcnn"))
     assert how["focal"] == replace(how["dgcnn"], pairs=how["focal"].pairs)
     assert {c.pairs.anchors for c in how.values()} == {256}
+    for name in ("network", "pairs", "alpha", "offset_weight"):
+        assert getattr(how["ours"], name) == getattr(PRESETS["ours"], name)
     assert [how[name].pairs.kind for name in ("dgcnn", "focal")] == ["double_hinge", "focal_double_hinge"]
     methods = {r.key: r.method(Path("w") if r.network else None) for r in ROWS}
     assert [r.network for r in ROWS] == [None, "sgpn", "dgcnn", "focal", "focal", "focal", "ours"]
