@@ -26,7 +26,7 @@ from perception.geometry import (
     rotation_about,
     transform_points,
 )
-from tests.binpick_env.camera.camera_scene import BOX, CAMERA, SPHERE, Scene, build, random_poses
+from tests.binpick_env.camera.camera_scene import BOX, CAMERA, MESH, SPHERE, Scene, build, random_poses
 
 BACKENDS = ["rays", "raster", "egl"]
 WORKSPACE = BinConfig().workspace()
@@ -279,6 +279,19 @@ def test_outside_the_bins_region_there_is_nothing() -> None:
     assert np.all(capture.depth_true[~outside] > 0)
 
 
+def test_a_pixel_without_a_surface_belongs_to_no_geom(backend: str) -> None:
+    """Not to the model's first geom either, which is an instance here."""
+    scene = build(np.zeros((0, 4, 4)))
+    scene = replace(scene, instance_of_geom=np.arange(scene.model.ngeom))
+    camera = make_camera(scene, replace(CAMERA, focal=1200.0, backend=backend))
+    capture = camera.capture(scene.data, np.random.default_rng(0), "none")
+    camera.close()
+    nothing = capture.depth_true == 0
+    assert nothing.sum() > 10_000
+    assert np.all(capture.instance_ids[nothing] == -1)
+    assert np.all(capture.instance_ids[~nothing] >= 0)
+
+
 @pytest.mark.parametrize("away", [make_transform(translation=(2.0, 0, 0)), make_transform(np.diag([1.0, -1, -1]))])
 def test_a_bin_out_of_view_gives_an_empty_frame(backend: str, away: Floats, pile: Scene) -> None:
     capture = look(pile, backend, default_pose(WORKSPACE, 0.9) @ away, sensor="good")
@@ -386,6 +399,24 @@ def _flat(scene: Scene) -> DepthCamera:
 def test_mistakes_are_named(pile: Scene, call: Callable[[Scene], object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call(pile)
+
+
+def test_the_models_first_face_is_drawn() -> None:
+    """A plate whose first two triangles are its top."""
+    plate = trimesh.creation.box((0.2, 0.1, 0.02))
+    order = np.argsort(-plate.face_normals[:, 2], kind="stable")
+    spec = mujoco.MjSpec()
+    faces = plate.faces[order].ravel().astype(np.int32)
+    spec.add_mesh(name="plate", uservert=plate.vertices.ravel(), userface=faces)
+    place = WORKSPACE.T_world_bin[:3, 3] + [0, 0, 0.05]
+    spec.worldbody.add_geom(type=MESH, meshname="plate", pos=place, group=2)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = DepthCamera(model, replace(CAMERA, backend="raster"), WORKSPACE, np.zeros(1, np.int64), threads=1)
+    capture = camera.capture(data, np.random.default_rng(0), "none")
+    assert np.count_nonzero(capture.depth_true) > 5000
+    np.testing.assert_array_equal(capture.instance_ids, np.where(capture.depth_true > 0, 0, -1))
 
 
 def test_raster_refuses_what_it_cannot_draw() -> None:

@@ -287,6 +287,29 @@ def test_a_part_below_another_is_ranked_after_it(cell, part, grasps, gripper):
     assert max((g.score for g in below), default=0) < found[0].score - 0.2
 
 
+def test_the_score_is_the_weighted_features_less_the_penalties(cell, part, grasps, gripper):
+    poses = [placed(0, 0, 0.02), placed(0, 0.04, 0.0601)]  # the second lies over a fifth of the first
+    found, _ = ranked(cell, part, grasps, poses, gripper)
+    below = [g for g in found if g.candidate == 0]
+    assert below
+    weights = {
+        "quality": 0.30,
+        "vertical": 0.10,
+        "score": 0.10,
+        "visible": 0.10,
+        "height": 0.25,
+        "wall": 0.05,
+        "clearance": 0.05,
+        "opening": 0.05,
+        "covered": -0.30,
+        "buried": -0.20,
+    }
+    for grasp in found:
+        assert grasp.features.keys() == weights.keys()
+        assert grasp.score == pytest.approx(sum(weights[name] * value for name, value in grasp.features.items()))
+    assert all(g.features["covered"] == 0.5 and g.features["buried"] > 0.1 for g in below)
+
+
 def test_grasps_of_one_part_differ(cell, part, grasps, gripper):
     found, _ = ranked(cell, part, grasps, [placed(0, 0, 0.02)], gripper)
     for i, a in enumerate(found):

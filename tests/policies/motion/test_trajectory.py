@@ -302,6 +302,16 @@ def test_a_closed_jaw_fits_where_an_open_one_does_not(scene, ik):
     assert not scene.contacts(q, opening=0.0)
 
 
+def test_a_single_contact_is_reported(scene, ik):
+    """Only one pad of a tilted, closed jaw comes within the largest clearance of the table."""
+    tilted = rotation_about((1, 0, 0), 0.3) @ rotation_about((0, 1, 0), 0.2) @ DOWN
+    q = ik.solve(make_transform(tilted, (0.35, -0.6, 0.05)), HOME, opening=0.0).q
+    (contact,) = scene.contacts(q, opening=0.0, clearance=MAX_CLEARANCE)
+    assert {contact.first, contact.second} == {"table", "gripper/right_pad1"}
+    assert contact.distance == pytest.approx(0.029, abs=5e-4)
+    assert contact.gripper_on_cell
+
+
 def test_clearance_beyond_what_is_modelled_is_refused(scene):
     with pytest.raises(ValueError, match="clearance must be in"):
         scene.contacts(HOME, clearance=MAX_CLEARANCE + 0.01)
