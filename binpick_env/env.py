@@ -11,6 +11,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from binpick_env.camera.depth_camera import DepthCamera
+from binpick_env.camera.sensor import sensor_model
 from binpick_env.camera.shading import Light
 from binpick_env.candidates import MAX_CANDIDATES, pad_candidates
 from binpick_env.cell.delivery import Delivery, DeliveryEvent, DeliveryJudge
@@ -165,6 +166,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             density=density,
             **cell,
         )
+        # Checked here: arguments that no other class checks.
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}")
         if obs_mode not in ("state", "rgbd"):
@@ -172,6 +174,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self._num_parts = _checked_range(num_parts)
+        self._sensor = sensor_model(sensor)
+        # The cell, what perceives it, and what shows it.
         self.config = resolve_cell(config, camera, **cell)
         self.part = resolve_part(part, unit, symmetry, density)
         self.workspace: Workspace = self.config.bin.workspace()
@@ -180,11 +184,10 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         self.simulation = Simulation(self.config, self.part, self._num_parts[1])
         geoms = self.simulation.part_of_geom
         self.camera = DepthCamera(self.simulation.model, self.config.camera, self.workspace, geoms, threads=threads)
-        self._sensor = sensor
         self.light: Light | None = None  # lighting of the grey image; the camera's own if None
         self.render_mode = render_mode
         self._renderer = CellRenderer(self.simulation)
-        self._obs_mode = obs_mode
+        # What is observed, and how the cell is commanded.
         self._boxes = observation_boxes(obs_mode, self.config.camera)
         self.observation_space = cast(spaces.Space[Observation], spaces.Dict(dict(self._boxes)))
         self._low, self._high = action_limits(self.simulation.model)

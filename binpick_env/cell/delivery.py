@@ -104,7 +104,7 @@ class DeliveryJudge:
         """Return the (capacity,) mask of parts in play that are neither in the bin nor touched by the gripper."""
         simulation = self._simulation
         in_bin = self._bin.contains(simulation.part_centres(), headroom=float(self._bin.inner_size[2]))
-        return simulation.in_play & ~in_bin & ~simulation.touched_by_gripper()
+        return simulation.in_play & ~in_bin & ~simulation.touched_by_robot()
 
     def update(self, gripper: float) -> list[DeliveryEvent]:
         """Judge after one control period, and return how parts left play in it.
@@ -120,7 +120,7 @@ class DeliveryJudge:
         if not simulation.in_play.any():
             return []
         speeds = simulation.part_speeds()
-        held = simulation.touched_by_gripper()
+        held = simulation.touched_by_robot()
         self._still = np.where((speeds < REST_SPEED) & ~held, self._still + self._period, 0.0)
         in_tray = self.inside_tray()
         for i in np.flatnonzero(in_tray):

@@ -60,7 +60,7 @@ class KinematicMotion:
         """
         simulation = self._simulation
         held = simulation.gripped()
-        if len(held) != 1 or simulation.touched_by_gripper().sum() != 1:
+        if len(held) != 1 or simulation.touched_by_robot().sum() != 1:
             return None
         (part,) = held
         own = simulation.part_ends() == part

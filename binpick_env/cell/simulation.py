@@ -19,7 +19,7 @@ _JAW_REST = 1.0  # time after which the jaw's linkage is at rest under a new com
 
 
 @dataclass(frozen=True, kw_only=True)
-class Push:
+class RobotContact:
     """Contact of the robot with its surroundings.
 
     Attributes:
@@ -247,7 +247,7 @@ class Simulation:
         inertial = self._inertial_torque(acceleration) / self._stiffness
         jaw_from, jaw_to = self._jaw_ramp(gripper)
         self.model.opt.noslip_iterations = self._noslip if self.gripped() else 0
-        let_go = self.touched_by_gripper() if jaw_to < jaw_from else None
+        let_go = self.touched_by_robot() if jaw_to < jaw_from else None
         for k in range(1, self.substeps + 1):
             s = k / self.substeps
             # A uniform quadratic B-spline through the targets: smooth in velocity, half a control period late.
@@ -350,7 +350,7 @@ class Simulation:
 
     # --- contacts --------------------------------------------------------------------------------------------------
 
-    def robot_push(self) -> Push:
+    def robot_contact(self) -> RobotContact:
         """Return what the robot touches now, other than itself, and the force."""
         force, with_cell, parts = 0.0, False, set()
         wrench = np.zeros(6)
@@ -364,7 +364,7 @@ class Simulation:
             with_cell |= bool(self._is_cell_geom[other])
             if self.part_of_geom[other] >= 0:
                 parts.add(int(self.part_of_geom[other]))
-        return Push(force=force, with_cell=with_cell, parts=frozenset(parts))
+        return RobotContact(force=force, with_cell=with_cell, parts=frozenset(parts))
 
     def robot_ends(self) -> NDArray[np.bool_]:
         """Return the (C, 2) mask of the contacts' ends that are the robot's."""
@@ -374,7 +374,7 @@ class Simulation:
         """Return the (C, 2) parts at the contacts' ends, -1 for anything else."""
         return np.array(self.part_of_geom[self.data.contact.geom[: self.data.ncon]])
 
-    def touched_by_gripper(self) -> NDArray[np.bool_]:
+    def touched_by_robot(self) -> NDArray[np.bool_]:
         """Return the (capacity,) mask of parts that touch any link of the robot."""
         touched = np.zeros(self.capacity, dtype=bool)
         partners = self.part_ends()[self.robot_ends()[:, ::-1]]

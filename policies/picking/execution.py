@@ -115,7 +115,7 @@ class Execution:
 
     def _exceeds_force(self) -> bool:
         """Return, and remember, whether the contact force exceeds its limit."""
-        if self._env.simulation.robot_push().force <= self._settings.stop_force:
+        if self._env.simulation.robot_contact().force <= self._settings.stop_force:
             return False
         self._collided = True
         return True

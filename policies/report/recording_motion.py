@@ -33,7 +33,7 @@ class Motion:
         simulation = self._simulation
         self._times.append(simulation.time)
         self._links.append(self._links_now())
-        push = simulation.robot_push()
+        push = simulation.robot_contact()
         self._scalars.append((simulation.gripper_position, simulation.gripper_target, push.force))
         parts = self._parts_now()
         last = self._parts[-1] if self._parts else None

@@ -24,7 +24,7 @@ from binpick_env.observation.oracle import PoseNoise
 from binpick_env.parts import load_part
 from tests.binpick_env.small_cell import REST, SMALL, act, assert_same, random_actions, small_env
 
-# SB3 tells that unnormalised actions and the candidates' 2-D array are unusual; both are meant.
+# SB3 warns that unnormalised actions and the candidates' 2-D array are unusual; both are meant.
 NORMALISED = "We recommend you to use a symmetric and normalized Box action space"
 TWO_DIMENSIONAL = "Your observation candidates has an unconventional shape"
 GYM_NORMALISED = ".*For Box action spaces, we recommend using a symmetric and normalized space"
@@ -77,7 +77,7 @@ def test_the_registration_truncates() -> None:
     env.close()
 
 
-def test_it_tells_when_the_registrations_steps_are_used_up(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_truncated_when_the_registrations_steps_are_used_up(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(env_module, "MAX_EPISODE_STEPS", 2)
     told = []
     for _ in range(2):
@@ -106,7 +106,7 @@ def test_the_action_space_is_the_arms() -> None:
     assert env.metadata["render_fps"] == 25
 
 
-def test_the_docstring_tells_of_every_argument_and_observation(shared_env: BinPickEnv) -> None:
+def test_the_docstring_describes_every_argument_and_observation(shared_env: BinPickEnv) -> None:
     text = BinPickEnv.__doc__ or ""
     assert set(re.findall(r"^    \| `(\w+)` \|", text, flags=re.MULTILINE)) >= set(
         inspect.signature(BinPickEnv).parameters

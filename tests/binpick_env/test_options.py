@@ -12,11 +12,14 @@ import pytest
 import trimesh
 
 import binpick_env  # noqa: F401  registers the id
-from binpick_env.config import BinConfig, CameraConfig, CellConfig, ContactConfig, RobotConfig
+from binpick_env.cell.delivery import Delivery, DeliveryJudge
+from binpick_env.cell.kinematic_motion import KinematicMotion
+from binpick_env.cell.robot import HOME
+from binpick_env.config import CONTROL_PERIOD, BinConfig, CameraConfig, CellConfig, ContactConfig, RobotConfig
 from binpick_env.env import BinPickEnv
 from binpick_env.options import CellOptions, resolve_cell
 from binpick_env.parts import load_part
-from tests.binpick_env.small_cell import REST, act, assert_same, small_simulation
+from tests.binpick_env.small_cell import REST, above_tray, act, assert_same, small_simulation
 
 TINY: dict[str, Any] = {"num_parts": 1, "perception": "oracle", "threads": 1, "width": 64, "height": 48}
 
@@ -104,7 +107,7 @@ def test_the_environment_takes_every_option_but_the_backend() -> None:
     assert {field.name for field in fields(CellOptions)} - set(inspect.signature(BinPickEnv).parameters) == {"backend"}
 
 
-def test_every_option_is_looked_at() -> None:
+def test_every_option_is_tested() -> None:
     assert {field.name for field in fields(CellOptions)} == set(OPTIONS) | ELSEWHERE
 
 
@@ -194,6 +197,30 @@ def test_a_narrow_jaw_starts_as_open_as_it_gets_and_opens_no_further() -> None:
     assert simulation.gripper_position == pytest.approx(start, abs=2e-3)
     simulation.step(simulation.target, 1.0)
     assert simulation.gripper_target > simulation.gripper_open  # it still closes
+
+
+def test_kinematic_motion_opens_a_narrow_jaw_no_further() -> None:
+    simulation = small_simulation(config=CellOptions(jaw=0.05).cell())
+    motion = KinematicMotion(simulation)
+    start = simulation.gripper_position
+    motion.place(HOME, HOME, 0.0)
+    assert simulation.gripper_target == simulation.gripper_open
+    assert simulation.gripper_position == pytest.approx(start, abs=1e-2)  # its table is measured in shorter rests
+    motion.place(HOME, HOME, 0.8)
+    assert simulation.gripper_target == 0.8
+
+
+@pytest.mark.parametrize(("command", "kinds"), [(0.75, [Delivery.DELIVERED]), (0.80, [Delivery.UNRELEASED])])
+def test_a_narrow_jaw_releases_by_opening_as_wide_as_it_gets(command: float, kinds: list[Delivery]) -> None:
+    """At 20 mm it is wide open at a command of 0.76, at which the full stroke would count as nearly closed."""
+    simulation = small_simulation(config=CellOptions(jaw=0.02).cell())
+    judge = DeliveryJudge(simulation, CONTROL_PERIOD)
+    simulation.place(0, above_tray(simulation))
+    events = []
+    for _ in range(40):
+        simulation.step(HOME, command)
+        events += judge.update(command)
+    assert [event.kind for event in events] == kinds
 
 
 def test_an_env_with_every_option_is_repeatable() -> None:

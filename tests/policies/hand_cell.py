@@ -87,7 +87,7 @@ class HandCell:
             action = self.fault(action.copy())
         returned = BinPickEnv.step(self.env, action.astype(np.float32))
         simulation = self.env.simulation
-        height, force = float(simulation.T_world_tcp[2, 3]), simulation.robot_push().force
+        height, force = float(simulation.T_world_tcp[2, 3]), simulation.robot_contact().force
         self.log.append(Step(action=action, target=simulation.target.copy(), height=height, force=force))
         return returned
 

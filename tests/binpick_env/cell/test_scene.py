@@ -73,7 +73,7 @@ def test_meshes_are_where_the_part_frame_puts_them(part: Part, model: mujoco.MjM
         np.testing.assert_allclose(np.sort(found, axis=0), np.sort(wanted, axis=0), atol=2e-6)
 
 
-def test_parking_places_are_apart_and_out_of_sight() -> None:
+def test_parking_places_are_apart_and_out_of_view() -> None:
     places = parking_poses(30)[:, :3, 3]
     distances = np.linalg.norm(places[:, None] - places[None], axis=-1) + np.eye(30)
     assert distances.min() >= 0.25
@@ -139,7 +139,7 @@ def test_the_jaw_closes_along_the_tcps_y_axis_onto_its_origin(simulation: Simula
     np.testing.assert_allclose(pads_tcp[:, 2], 0.0, atol=0.015)
 
 
-def test_at_home_the_arm_is_out_of_the_cameras_sight(simulation: Simulation) -> None:
+def test_at_home_the_arm_is_out_of_the_cameras_view(simulation: Simulation) -> None:
     workspace = simulation.config.bin.workspace()
     camera = DepthCamera(simulation.model, CameraConfig(width=320, height=240), workspace, simulation.part_of_geom)
     pan = simulation.model.joint("shoulder_pan_joint").qposadr[0]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from binpick_env.cell.robot import HOME
-from binpick_env.cell.simulation import Push, Simulation
+from binpick_env.cell.simulation import RobotContact, Simulation
 from perception.geometry import make_transform, random_rotation
 from tests.binpick_env.small_cell import centred, grip, small_simulation, wait
 
@@ -14,16 +14,16 @@ from tests.binpick_env.small_cell import centred, grip, small_simulation, wait
 
 def test_nothing_is_touched_at_home(simulation: Simulation) -> None:
     wait(simulation, 0.2)
-    assert simulation.robot_push() == Push(force=0.0, with_cell=False, parts=frozenset())
-    assert not simulation.touched_by_gripper().any()
+    assert simulation.robot_contact() == RobotContact(force=0.0, with_cell=False, parts=frozenset())
+    assert not simulation.touched_by_robot().any()
     assert simulation.gripped() == frozenset()
 
 
 def test_a_squeezed_part_is_named_by_all_three(simulation: Simulation) -> None:
     grip(simulation, 1)
     assert simulation.gripped() == {1}
-    np.testing.assert_array_equal(simulation.touched_by_gripper(), [False, True, False])
-    push = simulation.robot_push()
+    np.testing.assert_array_equal(simulation.touched_by_robot(), [False, True, False])
+    push = simulation.robot_contact()
     assert push.parts == {1}
     assert not push.with_cell
     assert push.force > 5.0
@@ -34,16 +34,16 @@ def test_a_part_that_falls_on_the_arm_is_touched_but_not_gripped(simulation: Sim
     simulation.place(0, centred(simulation, (x, y, z + 0.15)))
     for _ in range(25):
         simulation.step(HOME, 0.0)
-        if simulation.touched_by_gripper()[0]:
+        if simulation.touched_by_robot()[0]:
             break
-    assert simulation.touched_by_gripper()[0]
+    assert simulation.touched_by_robot()[0]
     assert simulation.gripped() == frozenset()
 
 
 def test_leaning_on_the_table_is_felt(simulation: Simulation) -> None:
     down = HOME + np.array([0, 0.9, 0, 0, 0, 0])
     wait(simulation, 1.0, down, gripper=1.0)
-    push = simulation.robot_push()
+    push = simulation.robot_contact()
     assert push.with_cell
     assert push.parts == frozenset()
     assert push.force > 50.0
@@ -136,7 +136,7 @@ def test_what_the_opening_jaw_leaves_falls(simulation: Simulation, monkeypatch: 
     wait(simulation, 0.4, gripper=1.0)
     simulation.model.body_gravcomp[:] = weight
     # It sleeps in mid-air, as what hung still in the jaw may do in the very step in which the pads leave it.
-    monkeypatch.setattr(Simulation, "touched_by_gripper", lambda _: np.array([True, False, False]))
+    monkeypatch.setattr(Simulation, "touched_by_robot", lambda _: np.array([True, False, False]))
     wait(simulation, 0.4, gripper=1.0)
     assert simulation.asleep()[0]
     assert simulation.part_centres()[0, 2] > 0.39

@@ -146,7 +146,7 @@ def test_a_setting_arrives(shared_simulation: Simulation, name: str) -> None:
     assert observe(small_simulation(config=config)) == pytest.approx(expected, abs=1e-6)
 
 
-def test_every_setting_is_looked_at() -> None:
+def test_every_setting_is_tested() -> None:
     names = set()
     for field in fields(CellConfig):
         value = getattr(CellConfig(), field.name)

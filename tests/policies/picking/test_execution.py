@@ -42,7 +42,7 @@ class NoteEnv:
     def gripped(self) -> frozenset[int]:
         return frozenset({0}) if self.holds(len(self.actions)) else frozenset()
 
-    def robot_push(self) -> SimpleNamespace:
+    def robot_contact(self) -> SimpleNamespace:
         return SimpleNamespace(force=self.force(len(self.actions)))
 
     def unjudged(self) -> frozenset[int]:

@@ -172,7 +172,7 @@ def test_a_decision_reads_no_truth(tees: HandCell, monkeypatch: pytest.MonkeyPat
     def forbidden(*_: object) -> None:
         raise AssertionError("the picker asked for the truth")
 
-    for question in ("part_poses", "part_centres", "part_speeds", "asleep", "gripped", "touched_by_gripper"):
+    for question in ("part_poses", "part_centres", "part_speeds", "asleep", "gripped", "touched_by_robot"):
         monkeypatch.setattr(tees.env.simulation, question, forbidden)
     nothing = {name: np.zeros(0) for name in ("instance_ids", "depth_true", "normals")}
     change_frame(tees.env, labelled_capture=SimpleNamespace(capture=replace(tees.env.capture, **nothing)))
