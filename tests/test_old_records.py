@@ -106,7 +106,8 @@ def test_a_bin_record() -> None:
     assert (record.clutter.median, record.clutter.above_nine_tenths) == (0.625, 0.0)
     assert np.isnan(record.clutter.below_half)
     slipped, abstained = record.picks
-    assert (slipped.outcome, slipped.blame, slipped.candidate, slipped.picture) == ("slipped", "grasp", 0, "pick.jpg")
+    assert (slipped.outcome, slipped.failure_attribution) == ("slipped", "grasp")  # "blame" in the file
+    assert (slipped.candidate, slipped.picture) == (0, "pick.jpg")
     assert (slipped.width, slipped.opening, slipped.score, slipped.features) == (0.03, 0.05, 0.5, {"height": 0.125})
     assert (slipped.t_sense, slipped.t_compute, slipped.t_motion, slipped.frame_id) == (0.5, 0.25, 4.0, 4)
     assert (abstained.outcome, abstained.abstention, abstained.width) == (None, "no_candidate", None)
