@@ -14,9 +14,9 @@ from policies.commands.command_line import exit_code, parse
 class Files:
     """Where rows are kept, or read from."""
 
-    save: Path | None = None  # keep the rows in this JSON file
+    save: Path | None = None  # JSON file to keep the rows in
     json: Path | None = None  # the same as --save
-    compare: tuple[Path, Path] | None = None  # measure nothing: compare two kept files, the older one first
+    compare: tuple[Path, Path] | None = None  # compare two kept files, the older one first, and measure nothing
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,10 +11,10 @@ SCORES = (0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95)
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Read folders of evaluate-pose and print the coefficients for `perception/pose/verification/confidence.py`."""
+    """Fit the coefficients of `perception/pose/verification/confidence.py` to folders of evaluate-pose."""
 
-    folders: tuple[Path, ...]  # of evaluate-pose, with seeds that nothing is reported on
-    json: Path | None = None  # where to write the coefficients
+    folders: tuple[Path, ...]  # folders of evaluate-pose, with seeds that no result is reported on
+    json: Path | None = None  # JSON file for the coefficients
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

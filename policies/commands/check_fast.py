@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(CellArguments):
-    """Compare attempts from the same states; grasps are drawn at random from those on offer."""
+    """Compare attempts in full with attempts in the fast mode, from the same states, with random grasps."""
 
-    attempts: int = 100  # pairs
-    seed: int = 0  # of the first pile
-    min_parts: int = 20  # smallest fill of a bin
-    max_parts: int = 30  # largest fill
-    json: Path | None = None  # where to write the pairs
+    attempts: int = 100  # number of pairs of attempts
+    seed: int = 0  # seed of the first pile
+    min_parts: int = 20  # smallest number of parts in a bin
+    max_parts: int = 30  # largest number of parts in a bin
+    json: Path | None = None  # JSON file for the pairs
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

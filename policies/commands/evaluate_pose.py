@@ -18,29 +18,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(SceneArguments):
-    """Estimate the poses of scenes that nothing was trained on, and print how well it went.
+    """Estimate the poses of parts in scenes that no training has used; print recognition, recall and precision.
 
-    Every scene is kept as it is finished: the same command again goes on where it was stopped. With --ablation, rows
-    that each leave one idea out are judged on the same scenes and true segments.
+    Every scene is saved as soon as it is finished: the same command resumes where it was stopped. With --ablation,
+    variants that each leave one idea out are evaluated on the same scenes and true segments.
     """
 
-    count: int = 20  # scenes
-    seed: int = 7  # scene i's own seed follows from this and i alone; not one that was trained with
-    perception: PosePerception = "learned"  # gt_masks: with the true segments; whole_scene: without any
-    weights: Path | None = None  # of the segmentation, a .safetensors file; those found for the part unless given
-    min_score: float | None = None  # from which a pose is verified; the estimator's own unless given
-    sensor: SensorPreset = "good"  # the depth camera's noise
-    jitter: bool = True  # vary the camera's place and the light from scene to scene
-    workers: int = 2  # processes, each on one core; 1 computes in this one on all cores: so time it
-    min_parts: int = 20  # smallest fill of a bin
-    max_parts: int = 30  # largest fill
-    fresh: bool = False  # compute every scene again, those that are there already too
+    count: int = 20  # number of scenes
+    seed: int = 7  # seed of all scenes, which no training has used; scene i is drawn from (seed, i)
+    # segments by the network, the true segments, or whole scenes without segments
+    perception: PosePerception = "learned"
+    weights: Path | None = None  # segmentation network, a .safetensors file; the one found for the part unless given
+    min_score: float | None = None  # smallest score of a verified pose, in [0, 1]; the estimator's own unless given
+    sensor: SensorPreset = "good"  # noise of the depth camera
+    jitter: bool = True  # vary the camera's pose and the light from scene to scene
+    workers: int = 2  # number of processes, each on one core; 1 uses all cores, best for timing
+    min_parts: int = 20  # smallest number of parts in a bin
+    max_parts: int = 30  # largest number of parts in a bin
+    fresh: bool = False  # compute all scenes again, including those that are there
     out: Path | None = None  # folder of the results; runs/pose-eval-PART-PERCEPTION-SEED unless given
-    json: Path | None = None  # where to write the numbers; results.json in the folder unless given
-    html: bool = False  # write report.html into the folder, with pictures
-    gallery: int = 30  # scenes that the report shows at most, the worst first
-    table3: bool = False  # print the layout of the paper's table 3, too
-    ablation: bool = False  # the rows of an ablation instead of one method
+    json: Path | None = None  # JSON file for the numbers; results.json in the folder unless given
+    html: bool = False  # write report.html with pictures into the folder
+    gallery: int = 30  # largest number of scenes in the report, the worst first
+    table3: bool = False  # also print the layout of the paper's table 3
+    ablation: bool = False  # evaluate variants that each leave one idea out, instead of one method
 
     def folder(self) -> Path:
         """Return where the results are kept."""

@@ -17,33 +17,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(SceneArguments):
-    """Segment scenes that no training has seen, and print how well it went.
+    """Segment scenes that no training has used, and print average precision (AP) with intervals.
 
-    Every scene is kept as it is finished: the same command again goes on where it was stopped. With --ablation, the
+    Every scene is saved as soon as it is finished: the same command resumes where it was stopped. With --ablation, the
     rows of the paper's table 2 are trained first, all with the same small budget, and printed one below the other.
     """
 
-    count: int = 100  # scenes
-    seed: int = 7  # scene i's own seed follows from this and i alone; not one that was trained with
-    weights: Path | None = None  # a .safetensors file; those found for the part unless given
-    method: SegmentationKind = "network"  # euclidean: components of points that lie close together, the floor
-    threshold: float | None = None  # embedding distance of one part's points; the grouping's own unless given
-    radius: float = 0.002  # euclidean: distance of linked points [m]
-    sensor: SensorPreset = "good"  # the depth camera's noise
-    jitter: bool = True  # vary the camera's place and the light from scene to scene
-    workers: int = 2  # processes, each on one core; 1 computes in this one on all cores: so time it
-    min_parts: int = 20  # smallest fill of a bin
-    max_parts: int = 30  # largest fill
-    fresh: bool = False  # compute every scene again, those that are there already too
-    out: Path | None = None  # folder of the results; runs/segmentation-eval-PART-SEED unless given
-    json: Path | None = None  # where to write the numbers; results.json in the folder unless given
-    html: bool = False  # write report.html into the folder, with pictures
-    gallery: int = 30  # scenes that the report shows at most, the worst first
-    ablation: bool = False  # the rows of table 2 instead of one method
-    training_seeds: int = 3  # ablation: trainings of each row
-    steps: int = 1500  # ablation: of each training
-    scenes: Path | None = None  # ablation: folder of generate-scenes to train on; made unless given
-    validation: Path | None = None  # ablation: folder to choose thresholds on; made unless given
+    count: int = 100  # number of scenes
+    seed: int = 7  # seed of all scenes, which no training has used; scene i is drawn from (seed, i)
+    weights: Path | None = None  # network to evaluate, a .safetensors file; the one found for the part unless given
+    method: SegmentationKind = "network"  # a network, or euclidean: components of points that lie close together
+    # largest embedding distance of two points of one part; the grouping's own unless given
+    threshold: float | None = None
+    radius: float = 0.002  # largest distance of two linked points under --method euclidean [m]
+    sensor: SensorPreset = "good"  # noise of the depth camera
+    jitter: bool = True  # vary the camera's pose and the light from scene to scene
+    workers: int = 2  # number of processes, each on one core; 1 uses all cores, best for timing
+    min_parts: int = 20  # smallest number of parts in a bin
+    max_parts: int = 30  # largest number of parts in a bin
+    fresh: bool = False  # compute all scenes again, including those that are there
+    out: Path | None = None  # folder of the results; runs/segmentation-eval-PART-SEED (or ablation-) unless given
+    json: Path | None = None  # JSON file for the numbers; results.json in the folder unless given
+    html: bool = False  # write report.html with pictures into the folder
+    gallery: int = 30  # largest number of scenes in the report, the worst first
+    ablation: bool = False  # train and evaluate the rows of the paper's table 2, instead of one method
+    training_seeds: int = 3  # number of trainings of each row of the ablation
+    steps: int = 1500  # number of steps of each training of the ablation
+    scenes: Path | None = None  # folder of generate-scenes that the ablation trains on; made unless given
+    # folder of generate-scenes that the ablation chooses thresholds on; made unless given
+    validation: Path | None = None
 
     def folder(self) -> Path:
         """Return where the results are kept."""

@@ -18,24 +18,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(CellArguments):
-    """Let selectors pick the same bins and print how well they did beside each other.
+    """Let grasp selectors pick the same bins and compare what they deliver.
 
-    Every bin is kept as it is finished: the same command again goes on where it was stopped. A hard bin is, for one,
-    --part bracket --min-parts 30 --max-parts 30 --sensor harsh --hand-eye-mm 10. Among the selectors, hindsight tries
-    what is on offer from the same state until something delivers: a bound for the others, at several attempts a
-    decision.
+    Every bin is saved as soon as it is finished: the same command resumes where it was stopped. These options make
+    bins hard: --part bracket --min-parts 30 --max-parts 30 --sensor harsh --hand-eye-mm 10. The selector hindsight
+    tries the grasps on offer from the same state until one delivers. It is an upper bound for the others, and needs
+    several attempts per decision.
     """
 
-    # heuristics by name, trained ones by the path of their .safetensors, and hindsight for the bound
+    # selectors to compare: heuristics and shipped ones by name, trained ones by their file, hindsight as a bound
     selectors: tuple[str, ...] = HEURISTICS
-    bins: int = 50  # how many bins
-    seed: int = 0  # bin i's own seed follows from this and i alone
-    perception: Perception = "learned"  # from pixels; gt_masks: true segments; oracle: true poses of visible parts
-    min_parts: int = 20  # smallest fill of a bin
-    max_parts: int = 30  # largest fill
-    workers: int = 1  # processes; each computes on one core
+    bins: int = 50  # number of bins
+    seed: int = 0  # seed of all bins; bin i is drawn from (seed, i)
+    # where poses come from: pixels, true segments, or the true poses of visible parts
+    perception: Perception = "learned"
+    min_parts: int = 20  # smallest number of parts in a bin
+    max_parts: int = 30  # largest number of parts in a bin
+    workers: int = 1  # number of processes, each on one core
     out: Path | None = None  # folder of the records; runs/selectors-PART-PERCEPTION-SENSOR-SEED unless given
-    json: Path | None = None  # where to write the numbers; selectors.json in the folder unless given
+    json: Path | None = None  # JSON file for the numbers; selectors.json in the folder unless given
 
     def config(self) -> "EvaluationConfig":
         """Return what the numbers depend on."""

@@ -10,14 +10,14 @@ from policies.commands.command_line import exit_code, parse
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(CellArguments):
-    """Fit BinPickSelect-v0's pose_noise="learned" to the learned perceiver of one part and sensor."""
+    """Fit the errors of the learned perception of one part and sensor: BinPickSelect-v0's pose_noise="learned"."""
 
-    bins: int = 100  # that are looked at, once each
-    seed: int = 0  # bin i's own seed follows from this and i alone
-    min_parts: int = 2  # smallest fill; small ones stand for bins that have been picked for a while
-    max_parts: int = 30  # largest fill
-    workers: int = 1  # processes; each computes on one core
-    json: Path | None = None  # where to write the model; among the shipped ones unless given
+    bins: int = 100  # number of bins, each of which is looked at once
+    seed: int = 0  # seed of all bins; bin i is drawn from (seed, i)
+    min_parts: int = 2  # smallest number of parts in a bin; small numbers stand for bins that are nearly empty
+    max_parts: int = 30  # largest number of parts in a bin
+    workers: int = 1  # number of processes, each on one core
+    json: Path | None = None  # JSON file for the model; among the shipped ones unless given
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

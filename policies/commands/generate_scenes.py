@@ -15,20 +15,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(SceneArguments):
-    """Drop piles of parts, look at them and write boundary points with their labels, a compressed file a scene.
+    """Drop piles of parts and write their labelled boundary points, one compressed file per scene.
 
-    The same command again goes on where it was stopped; a larger --count adds to what is there.
+    The same command resumes where it was stopped; a larger --count adds scenes to those that are there.
     """
 
-    count: int = 1000  # scenes
-    seed: int = 0  # scene i's own seed follows from this and i alone; test with another one than you train with
+    count: int = 1000  # number of scenes
+    seed: int = 0  # seed of all scenes; scene i is drawn from (seed, i); evaluate with another one than you train with
     out: Path | None = None  # folder of the scenes; runs/scenes-PART-SEED unless given
-    workers: int = 2  # processes; each computes on one core
-    sensor: SensorChoice = "good"  # the depth camera's noise; mixed draws it for each scene
-    jitter: bool = True  # vary the camera's place and the light from scene to scene
-    min_parts: int = 20  # smallest fill of a bin
-    max_parts: int = 30  # largest fill
-    json: Path | None = None  # where to write what was made: folder, count, seconds
+    workers: int = 2  # number of processes, each on one core
+    sensor: SensorChoice = "good"  # noise of the depth camera; mixed draws one of the others for each scene
+    jitter: bool = True  # vary the camera's pose and the light from scene to scene
+    min_parts: int = 20  # smallest number of parts in a bin
+    max_parts: int = 30  # largest number of parts in a bin
+    json: Path | None = None  # JSON file for the folder, the number of scenes and the seconds it took
 
     def folder(self) -> Path:
         """Return where the scenes are kept."""

@@ -23,27 +23,29 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(CellArguments):
-    """Pick bins of identical parts and print how well it went.
+    """Pick bins of identical parts and print success rates with intervals.
 
-    Every bin is kept as it is finished: the same command again goes on where it was stopped.
+    Every bin is saved as soon as it is finished: the same command resumes where it was stopped.
     """
 
-    bins: int = 10  # how many bins
-    seed: int = 0  # bin i's own seed follows from this and i alone
-    perception: Perception = "learned"  # from pixels; gt_masks: true segments; oracle: true poses of visible parts
-    budget: bool = False  # pick the same bins with all three, whatever --perception says, and compare
-    workers: int = 1  # processes; each computes on one core
-    min_parts: int = 20  # smallest fill of a bin
-    max_parts: int = 30  # largest fill
-    noise_mm: float = 0.0  # the oracle's position error, standard deviation per axis [mm]
-    noise_deg: float = 0.0  # the oracle's rotation error, standard deviation [deg]
-    fresh: bool = False  # compute every bin again, those that are there already too
-    out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-) unless given
-    json: Path | None = None  # where to write the numbers; results.json (or budget.json) in the folder unless given
-    html: bool = True  # write report.html into the folder, with a picture of every pick (or budget.html)
-    video: Path | None = None  # film the first bin into this .mp4 (slow without a GL driver; MUJOCO_GL names one)
+    bins: int = 10  # number of bins
+    seed: int = 0  # seed of all bins; bin i is drawn from (seed, i)
+    # where poses come from: pixels, true segments, or the true poses of visible parts
+    perception: Perception = "learned"
+    budget: bool = False  # pick the same bins with all three kinds of perception and compare them
+    workers: int = 1  # number of processes, each on one core
+    min_parts: int = 20  # smallest number of parts in a bin
+    max_parts: int = 30  # largest number of parts in a bin
+    noise_mm: float = 0.0  # error of the oracle's positions, standard deviation per axis [mm]
+    noise_deg: float = 0.0  # error of the oracle's rotations, standard deviation [deg]
+    fresh: bool = False  # compute all bins again, including those that are there
+    out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-SEED) unless given
+    json: Path | None = None  # JSON file for the numbers; results.json (or budget.json) in the folder unless given
+    html: bool = True  # write report.html (or budget.html) into the folder, with a picture of every pick
+    video: Path | None = None  # film the first bin into this .mp4; slow unless MUJOCO_GL names a GL driver
     video_limit: float = 60.0  # length of the film in simulated time [s]
-    rerun: Path | None = None  # record the first bin into this .rrd for Rerun's viewer, with all that the robot sees
+    # record all that the robot sees and does in the first bin into this .rrd, for Rerun's viewer
+    rerun: Path | None = None
 
     def config(self) -> "EvaluationConfig":
         """Return what the numbers depend on."""

@@ -17,16 +17,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(PartArguments):
-    """Make a picture of a settled bin with the arm over it, or of what perception makes of a frame.
+    """Draw a settled bin with the arm over it, or a frame with its segments or poses.
 
     No GL driver is needed.
     """
 
-    show: Literal["cell", "segmentation", "poses"] = "cell"  # segmentation: image, true and predicted parts
+    # the cell, or a frame with true and predicted segments, or a frame with poses
+    show: Literal["cell", "segmentation", "poses"] = "cell"
     seed: int = 0  # seed of the pile
     width: int = 1200  # width of the picture of the cell [px]
     height: int = 800  # height of the picture of the cell [px]
-    out: Path | None = None  # the PNG file; docs/SHOW.png unless given
+    out: Path | None = None  # PNG file; docs/SHOW.png unless given
 
     def scenes(self) -> "SceneConfig":
         """Return the scenes, the first of which is drawn."""

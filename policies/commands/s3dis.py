@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Synthesize:
-    """Write furnished rooms in the on-disk format of S3DIS, Area_1 to Area_6 in turn; goes on where it was stopped."""
+    """Write furnished rooms in the on-disk format of S3DIS, Area_1 to Area_6 in turn; resumes where it was stopped."""
 
-    out: Path  # root of the tree
-    rooms: int = 12  # how many
-    seed: int = 0  # room i follows from this and i alone
-    density: float = 1000.0  # points on a square metre of surface; S3DIS is as dense as some 9000
-    workers: int = 2  # processes; each computes on one core
+    out: Path  # root folder of the tree
+    rooms: int = 12  # number of rooms
+    seed: int = 0  # seed of all rooms; room i is drawn from (seed, i)
+    density: float = 1000.0  # number of points on a square metre of surface; S3DIS has some 9000
+    workers: int = 2  # number of processes, each on one core
 
     def work(self) -> str:
         """Write the rooms."""
@@ -39,13 +39,13 @@ class Synthesize:
 class Prepare:
     """Read the raw tree of S3DIS (Area_*/ROOM/Annotations/*.txt) into one compact file a room.
 
-    The same command again keeps the rooms that are whole and makes the others.
+    The same command keeps the rooms that are whole and makes the others.
     """
 
-    raw: Path  # the folder that Area_1 is in, of the aligned version 1.2
+    raw: Path  # folder that Area_1 is in, of the aligned version 1.2
     out: Path  # folder of the rooms
-    workers: int = 2  # processes; each computes on one core
-    json: Path | None = None  # where to write what was made: rooms, points, remarks, seconds
+    workers: int = 2  # number of processes, each on one core
+    json: Path | None = None  # JSON file for the number of rooms and points, remarks, seconds
 
     def work(self) -> str:
         """Prepare the rooms."""
@@ -64,20 +64,20 @@ class Prepare:
 
 @dataclass(frozen=True, kw_only=True)
 class Train:
-    """Train a row of Table 1; goes on where it was stopped. Under torchrun, several processes train together."""
+    """Train a row of the paper's table 1, or resume it. Under torchrun, several processes train together."""
 
-    rooms: Path  # folder made by prepare; those of Area 5 are left alone
-    row: RowName = "dgcnn-new-colour"  # of Table 1
+    rooms: Path  # folder made by prepare; rooms of Area 5 are not used
+    row: RowName = "dgcnn-new-colour"  # row of Table 1
     budget: BudgetName = "paper"  # paper: as it says, for a GPU; small: rows differ in trunk, colour and loss alone
-    steps: int | None = None  # of the training; the paper's 200 epochs unless given
-    seed: int = 0  # of weights and samples
-    batch: int | None = None  # blocks a step; the budget's unless given
-    points: int | None = None  # of a sample of a block; the budget's unless given
-    learning_rate: float | None = None  # the budget's unless given
+    steps: int | None = None  # number of steps; the paper's 200 epochs unless given
+    seed: int = 0  # seed of weights and samples
+    batch: int | None = None  # number of blocks per step; the budget's unless given
+    points: int | None = None  # number of points sampled from a block; the budget's unless given
+    learning_rate: float | None = None  # largest learning rate; the budget's unless given
     out: Path | None = None  # folder of checkpoint, log and weights; runs/s3dis-ROW-BUDGET-SEED unless given
-    held_out: int = 4  # training rooms kept to choose the grouping's threshold on; without any, the loss says it
-    device: str | None = None  # a GPU if there is one unless given
-    threads: int | None = None  # of the processor; torch's choice unless given
+    held_out: int = 4  # number of training rooms kept to choose the grouping's threshold on; 0 takes the loss's margin
+    device: str | None = None  # device of torch, such as cpu or cuda:0; a GPU if there is one unless given
+    threads: int | None = None  # number of torch's threads; torch's choice unless given
 
     def config(self) -> "RowTraining":
         """Return what the training depends on."""
@@ -104,17 +104,18 @@ class Train:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate:
-    """Print AP50 of the twelve categories beside the paper's Table 1."""
+    """Print AP50 of the twelve categories beside the paper's table 1."""
 
     rooms: Path  # folder made by prepare
-    weights: Path | None = None  # of train: what to judge
-    predictions: Identity | None = None  # what to judge instead: what no network can do better
-    areas: tuple[int, ...] | None = None  # to evaluate on; 5 for weights, all for the truth unless given
-    threshold: float | None = None  # of a network's grouping; that of its training unless given
-    population: Population = "room"  # the room's points, each once; or those of all blocks, as SGPN's code counts
-    seed: int = 0  # of the share-out of a block's points among samples
-    workers: int = 2  # processes; each computes on one core
-    json: Path | None = None  # where to write ap50 by category, mean_ap50, ap25, ap
+    weights: Path | None = None  # network to evaluate, the weights.safetensors of train
+    predictions: Identity | None = None  # evaluate these instead of a network: the best that any network can do
+    areas: tuple[int, ...] | None = None  # areas to evaluate on; 5 for weights, all for the truth unless given
+    threshold: float | None = None  # embedding distance of the network's grouping; that of its training unless given
+    # points that count: the room's, each once, or those of all blocks, as in SGPN's code
+    population: Population = "room"
+    seed: int = 0  # seed of the distribution of a block's points among samples
+    workers: int = 2  # number of processes, each on one core
+    json: Path | None = None  # JSON file for ap50 by category, mean_ap50, ap25 and ap
 
     def config(self) -> "Subject":
         """Return what is judged."""

@@ -15,21 +15,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Train the four rows of Table 1 with several seeds and print them beside the paper's.
+    """Train the four rows of the paper's table 1 with several seeds and print both beside each other.
 
-    The same command again goes on where it was stopped; with more --seeds it adds trainings.
+    The same command resumes where it was stopped; with more --seeds it adds trainings.
     """
 
-    rooms: Path  # folder made by prepare: Area 5 is judged, the others are trained on
-    steps: int  # of each training
-    seeds: int = 3  # trainings of each row, with seeds 0, 1, ...
-    budget: BudgetName = "small"  # small: rows differ in trunk, colour and loss alone
-    batch: int | None = None  # blocks a step; the budget's unless given
-    points: int | None = None  # of a sample of a block; the budget's unless given
-    held_out: int = 4  # training rooms kept to choose thresholds on
+    rooms: Path  # folder made by s3dis prepare: Area 5 is evaluated, the others are trained on
+    steps: int  # number of steps of each training
+    seeds: int = 3  # number of trainings of each row, with seeds 0, 1, ...
+    budget: BudgetName = "small"  # paper: as it says; small: rows differ in trunk, colour and loss alone
+    batch: int | None = None  # number of blocks per step; the budget's unless given
+    points: int | None = None  # number of points sampled from a block; the budget's unless given
+    held_out: int = 4  # number of training rooms kept to choose thresholds on
     out: Path = Path("runs/s3dis-table")  # folder of trainings and verdicts
-    workers: int = 2  # trainings at once; each computes on one core
-    json: Path | None = None  # where to write the rows
+    workers: int = 2  # number of trainings at once, each on one core
+    json: Path | None = None  # JSON file for the rows
 
     def config(self) -> "TableConfig":
         """Return what the table depends on."""

@@ -19,27 +19,31 @@ if TYPE_CHECKING:
 class Arguments:
     """Train a segmentation network on the scenes of one part, or one network for several.
 
-    The same command again goes on where it was stopped. Under torchrun, several processes train together.
+    The same command resumes where it was stopped. Under torchrun, several processes train together.
     """
 
-    part: tuple[str, ...] = ("tee",)  # what the network is for; the names it will be found under
-    scenes: tuple[Path, ...] = ()  # folders of generate-scenes; runs/scenes-PART-0 of each part unless given
-    validation: tuple[Path, ...] = ()  # folders only evaluated on; the first scenes of each folder unless given
-    held_out: int = 8  # scenes of each folder kept for validation where no folder is given
-    preset: PresetName = "ours"  # paper: its text to the letter; released: as the code of its lineage does
-    minutes: float | None = None  # length of the training
-    steps: int | None = None  # its length in steps, with which the same seed gives the same weights
-    seed: int = 0  # of weights, samples and augmentation
-    initial: Path | None = None  # weights to start from; random ones unless given
-    batch: int | None = None  # scenes a step; the preset's unless given
-    learning_rate: float | None = None  # the preset's unless given
-    threads: int | None = None  # of the processor; torch's choice unless given
-    device: str | None = None  # a GPU if there is one unless given
-    evaluate_every: float = 10.0  # minutes of training between evaluations
+    part: tuple[str, ...] = ("tee",)  # parts that the network is for; it is found under their names
+    # folders of generate-scenes to train on; runs/scenes-PART-0 of each part unless given
+    scenes: tuple[Path, ...] = ()
+    # folders of generate-scenes to evaluate on; the first scenes of each folder unless given
+    validation: tuple[Path, ...] = ()
+    held_out: int = 8  # number of scenes of each folder that are kept for validation where no folder is given
+    # ours; paper: its text to the letter; released: as the code that the paper builds on
+    preset: PresetName = "ours"
+    minutes: float | None = None  # length of the training [min]
+    steps: int | None = None  # length of the training in steps; the same seed and steps give the same weights
+    seed: int = 0  # seed of weights, samples and augmentation
+    initial: Path | None = None  # weights to start from, a .safetensors file; random ones unless given
+    batch: int | None = None  # number of scenes per step; the preset's unless given
+    learning_rate: float | None = None  # largest learning rate of the schedule; the preset's unless given
+    threads: int | None = None  # number of torch's threads; torch's choice unless given
+    device: str | None = None  # device of torch, such as cpu or cuda:0; a GPU if there is one unless given
+    evaluate_every: float = 10.0  # training time between two evaluations [min]
     out: Path | None = None  # folder of checkpoint, log and weights; runs/segmentation-NAME-PRESET-SEED unless given
-    install: bool | None = None  # copy the weights to where every command finds them first; of preset ours unless said
+    # copy the weights to where every command looks first; with preset ours unless said otherwise
+    install: bool | None = None
     tensorboard: bool = True  # write TensorBoard's events into the folder
-    json: Path | None = None  # where to write the last evaluation
+    json: Path | None = None  # JSON file for the last evaluation
 
     @property
     def name(self) -> str:

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 class Common(CellArguments):
     """What both methods are told."""
 
-    min_parts: int = 20  # smallest fill of a bin
-    max_parts: int = 30  # largest fill
-    perception: Perception = "oracle"  # learned for the last stretch of a training
-    pose_noise: Literal["learned"] | None = None  # the oracle's: errors such as the learned perceiver's, or none
+    min_parts: int = 20  # smallest number of parts in a bin
+    max_parts: int = 30  # largest number of parts in a bin
+    perception: Perception = "oracle"  # where poses come from; learned (from pixels) for the last stretch of a training
+    pose_noise: Literal["learned"] | None = None  # learned: true poses get errors such as the learned perception makes
     fast: bool = False  # leave out the physics of an arm that touches nothing
-    max_failures: int = 2  # in a row, that end a bin
-    workers: int = 1  # processes; each computes on one core
-    seed: int = 0  # of piles, weights and order
+    max_failures: int = 2  # number of consecutive failed attempts that end a bin
+    workers: int = 1  # number of processes, each on one core
+    seed: int = 0  # seed of piles, weights and order
     out: Path | None = None  # folder of the training; runs/selector-METHOD-PART-SEED unless given
 
     def cells(self) -> "Cells":
@@ -40,32 +40,33 @@ class Common(CellArguments):
 
 @dataclass(frozen=True, kw_only=True)
 class Ppo(Common):
-    """Train by MaskablePPO. The same command again goes on where it was stopped, more picks go further.
+    """Train by MaskablePPO. The same command resumes where it was stopped; more --picks train further.
 
-    For a last stretch with the real perception: the same folder, more picks, --perception learned.
+    For a last stretch with the real perception, use the same folder, more --picks and --perception learned.
     """
 
-    picks: int = 20_000  # in all
-    rollout: int = 128  # picks of each process between updates
-    initial: Path | None = None  # selector to start from, the bandit's for one
-    hidden: int = 64  # units of the network's layers
+    picks: int = 20_000  # number of picks in all
+    rollout: int = 128  # number of picks of each process between two updates
+    initial: Path | None = None  # selector to start from, such as the bandit's, a .safetensors file
+    hidden: int = 64  # number of units in each layer of the network
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bandit(Common):
-    """Log attempts, then fit which grasps are delivered. Bins that are logged already stay."""
+    """Log attempts, then fit which grasps are delivered. Bins that are already logged are kept."""
 
-    bins: int = 200  # whose attempts are logged
-    behaviour: str = "weighted"  # who chooses meanwhile: a heuristic, or a trained selector
-    epsilon: float = 0.3  # share of the choices that are made at random instead
-    tries: int = 1  # attempts from each state; all but the one that is chosen are drawn at random, and undone
-    hidden: int = 64  # units of the network's layers; 0 is logistic regression
-    context: bool = True  # whether a grasp's score depends on the others on offer
-    features: tuple[str, ...] = ()  # columns of the observation that it uses, by name; none for all
-    loss: Literal["delivery", "choice"] = "delivery"  # choice compares what was tried from one state, with --tries
-    epochs: int = 60  # passes over the attempts
-    rate: float = 1e-3  # Adam's; logistic regression takes ten times that
-    held_out: float = 0.2  # share of the bins that the fit is judged on instead; 0 for the selector that is to be used
+    bins: int = 200  # number of bins whose attempts are logged
+    behaviour: str = "weighted"  # selector that picks while attempts are logged: a heuristic, or a trained one
+    epsilon: float = 0.3  # share of the choices that are random, in [0, 1]
+    tries: int = 1  # number of attempts from each state; all but the chosen one are random, and are undone
+    hidden: int = 64  # number of units in each layer of the network; 0 is logistic regression
+    context: bool = True  # whether a grasp's score depends on the other grasps on offer
+    features: tuple[str, ...] = ()  # names of the observation's columns that the network uses; all unless given
+    # delivery, or choice: compare attempts from one state, which needs --tries
+    loss: Literal["delivery", "choice"] = "delivery"
+    epochs: int = 60  # number of passes over the attempts
+    rate: float = 1e-3  # learning rate of Adam; logistic regression takes ten times as much
+    held_out: float = 0.2  # share of the bins that the fit is evaluated on; 0 uses all bins to fit
 
 
 Arguments = Ppo | Bandit
