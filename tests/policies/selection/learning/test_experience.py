@@ -72,7 +72,7 @@ def test_bins_without_attempts_cannot_be_learned_from(tmp_path: Path, toys: None
     log = attempt_log(tmp_path)
     list(log.fill(range(1)))
     with np.load(log.file(0)) as file:
-        empty = {name: file[name][:0] for name in file.files}
+        empty = {name: file[name][:0] if file[name].ndim else file[name] for name in file.files}
     np.savez(log.file(1), **empty)
     with pytest.raises(ValueError, match="1 bins hold no attempt"):
         Attempts.load([log.file(1)])
