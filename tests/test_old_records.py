@@ -55,7 +55,11 @@ def test_a_pose_record() -> None:
     assert (record.confidences.tolist(), record.visible_fractions.tolist()) == ([0.75, 0.5], [0.25, 0.875])
     assert (record.T_cam_parts.tolist(), record.poses.tolist()) == (T_CAM_PARTS, T_CAM_PARTS[1:])
     assert (record.trials.tolist(), record.groups.tolist(), record.scores.tolist()) == ([1, 0], [1], [0.9375])
-    assert (record.seen.tolist(), record.verified.tolist(), record.whole_scene) == ([0.375], [True], False)
+    assert (record.estimated_fractions.tolist(), record.verified.tolist(), record.whole_scene) == (
+        [0.375],
+        [True],
+        False,
+    )
     assert record.verdicts.tolist() == [[k / 8 for k in range(8)]]
     assert (record.K.tolist(), record.pixels.tolist(), record.corner) == (K, PIXELS, (7, 9))
     spent = dict(record.ms)
