@@ -13,23 +13,25 @@ from perception.instance import Instance
 from perception.s3dis.data.categories import CATEGORIES
 
 Ints = NDArray[np.int64]
-MIN_SIZE_SHARE = 0.25  # of a category's mean size: a predicted object with fewer points is dropped (released code)
+MIN_SIZE_SHARE = 0.25  # smallest size of a predicted object, as a share of the mean of its category (released code)
 _C = len(CATEGORIES)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MergeConfig:
-    """When a group of a block goes on with an object of the room (Wang et al., CVPR 2018, and the released code).
+    """Settings of SGPN's BlockMerging (Wang et al., CVPR 2018, and the released code).
 
     Attributes:
-        cell: Side of a cell of the grid that remembers the objects [m]. The released code divides each of the room's
-            extents by 200: 3 cm in a room of 6 m, but 20 cm along a hallway of 40 m.
-        min_hits: A group goes on with the object that it shares most cells with if so many of its points lie there,
-        min_points: Otherwise it begins an object if it has more points.
-        exclusive: At most one group of a sample goes on with an object, the one with most hits: two chairs that touch
-            stay two. Without, as in the released code, any number does.
-        rejoin: In the end, fuse objects that more points speak for than against, see :class:`BlockMerger`. Without, as
-            in the released code, a floor that was first seen on both sides of a sofa stays two.
+        cell: Side of a cell of the grid that stores the objects [m]. The released code divides each extent of the room
+            by 200, which gives 3 cm in a room of 6 m, but 20 cm along a hallway of 40 m.
+        min_hits: Number of points of a group that must lie in cells of an object for the group to join it. It joins the
+            object with most points.
+        min_points: Number of points above which a group that joins no object starts a new one.
+        exclusive: Whether at most one group of a sample, the one with most points, joins an object, so that two chairs
+            that touch stay separate. In the released code any number of groups joins.
+        rejoin: Whether objects are fused in the end if more points support it than contradict it, see
+            :class:`BlockMerger`. In the released code, a floor that was first seen on both sides of a sofa stays two
+            objects.
     """
 
     cell: float = 0.03
@@ -49,13 +51,13 @@ class MergeConfig:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SampleGroups:
-    """What was found in one sample of a block.
+    """Groups found in a sample of a block.
 
     Attributes:
-        point_idx: (M,) indices into the room's points, without repeats.
-        groups: (M,) group of each, -1 for none.
-        categories: (M,) predicted category of each.
-        confidences: (M,) in [0, 1].
+        point_idx: (M,) distinct indices into the points of the room.
+        groups: (M,) group of each point, -1 for none.
+        categories: (M,) predicted category of each point.
+        confidences: (M,) confidence of each point in [0, 1].
     """
 
     point_idx: Ints
@@ -75,31 +77,35 @@ class SampleGroups:
 
 
 class BlockMerger:
-    """Takes samples in the order of their blocks and numbers the objects of the room as they appear.
+    """Merges the groups of samples, in the order of their blocks, into the objects of a room.
 
-    A cell remembers one object for each category, the first that was there: of a board on a wall, both. A group is of
-    the category that most of its points have. A point keeps the first object that it is given.
+    A cell stores one object for each category, the first that was there, so a cell of a board on a wall stores both.
+    The category of a group is that of most of its points. A point keeps the first object that it is assigned to.
 
-    Faults of the released code that are mended: a group with few hits and few points became object 0, here it is
-    dropped; at most 100 groups and 300 objects fitted its arrays, here any number does; object ids wrapped at 256; a
-    cell shared by two categories forgot one of them; touching objects of a category could fuse within a sample; what
-    was begun at two ends never met.
+    Differs from the released code, which assigns a group with few hits and few points to object 0 (here it is dropped),
+    holds at most 100 groups and 300 objects, wraps object ids at 256, forgets one of two categories in a cell, can fuse
+    touching objects of a category within a sample, and never fuses an object that was started at both ends.
     """
 
     def __init__(self, xyz: NDArray[np.float32], config: MergeConfig | None = None) -> None:
-        """Begin a room of (N, 3) points [m]."""
+        """Prepare for a room.
+
+        Args:
+            xyz: (N, 3) points of the room [m].
+            config: Settings of the merging; the defaults of :class:`MergeConfig` if left out.
+        """
         require_shape("xyz", xyz, (None, 3))
         self._config = config or MergeConfig()
         self._cell_of_point, cells = _cells(xyz, self._config.cell)
-        self._owner = np.full(cells * _C, -1, np.int64)  # object by cell and category
+        self._owner = np.full(cells * _C, -1, np.int64)  # object of each cell and category
         self._labels = np.full(len(xyz), -1, np.int64)
-        self._votes = np.zeros((0, _C), np.int64)  # of the points of each object, by category
-        self._confidence = np.zeros(0)  # their sum, by object
-        self._evidence = Counter[tuple[int, int]]()  # points for less those against that two objects are one
+        self._votes = np.zeros((0, _C), np.int64)  # number of points of each object by category
+        self._confidence = np.zeros(0)  # sum of the confidences of each object
+        self._support = Counter[tuple[int, int]]()  # points for minus points against the fusion of two objects
 
     @property
     def labels(self) -> Ints:
-        """Return (N,) object of each point, -1 for none."""
+        """The (N,) object of each point, -1 for none."""
         return self._fused(self._roots())
 
     def add(self, sample: SampleGroups) -> None:
@@ -114,7 +120,7 @@ class BlockMerger:
         hits = _hits(groups, self._owner[layer], self._config.min_hits)
         sizes = np.bincount(groups)
         objects = self._objects(hits, sizes)
-        self._weigh(hits, objects, category, sizes)
+        self._count_support(hits, objects, category, sizes)
         rows = objects[groups] >= 0
         given = objects[groups[rows]]
         self._count(given, sample.categories[grouped][rows], sample.confidences[grouped][rows])
@@ -123,10 +129,12 @@ class BlockMerger:
             memory[place[free][::-1]] = given[free][::-1]  # of equal places NumPy keeps the last, we want the first
 
     def instances(self, min_sizes: Floats | None = None) -> list[Instance]:
-        """Return the objects, best confidence first: label the mode and score the mean over all samples' points.
+        """Return the objects, best confidence first.
+
+        The label of an object is the mode, its score the mean, over its points in all samples.
 
         Args:
-            min_sizes: (C,) points that an object of each category must have; all stay unless given.
+            min_sizes: (C,) smallest number of points of an object of each category; no limit unless given.
         """
         if min_sizes is not None:
             require_shape("min_sizes", min_sizes, (_C,))
@@ -147,7 +155,7 @@ class BlockMerger:
         return labels
 
     def _objects(self, hits: Ints, sizes: Ints) -> Ints:
-        """Return (G,) object of each group, -1 for one that is dropped; new ones are numbered in order of groups."""
+        """Return the (G,) object of each group, -1 for a dropped group; new objects are numbered by group."""
         objects = np.full(len(sizes), -1, np.int64)
         group, first = np.unique(hits[:, 0], return_index=True)
         owner, most = hits[first, 1], hits[first, 2]
@@ -162,32 +170,32 @@ class BlockMerger:
         self._confidence = np.concatenate([self._confidence, np.zeros(len(begins))])
         return objects
 
-    def _weigh(self, hits: Ints, objects: Ints, category: Ints, sizes: Ints) -> None:
-        """Take down what speaks for and against that objects are one."""
+    def _count_support(self, hits: Ints, objects: Ints, category: Ints, sizes: Ints) -> None:
+        """Count the points that support and contradict the fusion of objects."""
         for group in np.flatnonzero(np.bincount(hits[:, 0]) > 1):
             mine = hits[hits[:, 0] == group]
             for (_, a, n), (_, b, m) in combinations(mine.tolist(), 2):
-                self._evidence[min(a, b), max(a, b)] += min(n, m)
+                self._support[min(a, b), max(a, b)] += min(n, m)
         present = [(k, objects[k], category[k]) for k in np.flatnonzero(objects >= 0).tolist()]
         for (g, a, c), (h, b, d) in combinations(present, 2):
             if a != b and c == d:
-                self._evidence[int(min(a, b)), int(max(a, b))] -= int(min(sizes[g], sizes[h]))
+                self._support[int(min(a, b)), int(max(a, b))] -= int(min(sizes[g], sizes[h]))
 
     def _roots(self) -> Ints:
-        """Return (K,) the object that each object is fused with: the strongest pair first, its evidence then summed."""
+        """Return the (K,) object that each object is fused with, by greedy fusion of the best supported pair."""
         roots = np.arange(len(self._votes))
-        evidence = self._evidence if self._config.rejoin else Counter[tuple[int, int]]()
-        while evidence:
-            (first, second), points = max(evidence.items(), key=lambda item: (item[1], -item[0][0], -item[0][1]))
+        support = self._support if self._config.rejoin else Counter[tuple[int, int]]()
+        while support:
+            (first, second), points = max(support.items(), key=lambda item: (item[1], -item[0][0], -item[0][1]))
             if points <= 0:
                 break
             roots[roots == second] = first
             summed = Counter[tuple[int, int]]()
-            for pair, n in evidence.items():
+            for pair, n in support.items():
                 a, b = sorted(first if k == second else k for k in pair)
                 if a != b:
                     summed[a, b] += n
-            evidence = summed
+            support = summed
         return roots
 
     def _count(self, objects: Ints, categories: Ints, confidences: NDArray[np.floating]) -> None:
@@ -197,7 +205,7 @@ class BlockMerger:
 
 
 def _cells(xyz: NDArray[np.float32], side: float) -> tuple[Ints, int]:
-    """Return (N,) index of each point's cell among those that hold a point, and their number."""
+    """Return the (N,) index of each point's cell among the occupied cells, and their number."""
     place = ((xyz - xyz.min(axis=0).astype(np.float64)) / side).astype(np.int64)
     shape = place.max(axis=0) + 1
     keys = (place[:, 0] * shape[1] + place[:, 1]) * shape[2] + place[:, 2]
@@ -206,7 +214,7 @@ def _cells(xyz: NDArray[np.float32], side: float) -> tuple[Ints, int]:
 
 
 def _hits(groups: Ints, owners: Ints, least: int) -> Ints:
-    """Return rows of group, object and points of the group on it, ``least`` or more; by group, most points first."""
+    """Return rows (group, object, number of shared points of at least ``least``), by group, most points first."""
     hit = owners >= 0
     width = owners.max(initial=0) + 1
     keys, hits = np.unique(groups[hit] * width + owners[hit], return_counts=True)
@@ -215,7 +223,7 @@ def _hits(groups: Ints, owners: Ints, least: int) -> Ints:
 
 
 def _members(labels: Ints, number: int) -> Iterator[tuple[int, Ints]]:
-    """Yield each label from 0 below ``number`` that points carry, with their ascending indices."""
+    """Yield each label below ``number`` that occurs, with the ascending indices of its points."""
     order = np.argsort(labels, kind="stable")
     starts = np.searchsorted(labels[order], np.arange(number + 1))
     for k in range(number):

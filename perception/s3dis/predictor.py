@@ -1,4 +1,4 @@
-"""Rooms in, objects out: a trained network on every point of every block, grouping, merging of blocks."""
+"""Prediction of the objects of a room: the network on every block, grouping, merging of blocks."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,20 +25,20 @@ from perception.segmentation.training.losses import PairLossConfig
 from perception.segmentation.weights import WeightsError, load_network, load_record
 
 PointNetwork = Callable[[torch.Tensor], PointOutputs]
-LEAST_OF_4096 = 50  # points of a group, of a sample of 4096 (released code)
+LEAST_OF_4096 = 50  # smallest number of points of a group in a sample of 4096 (released code)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RoomPredictorConfig:
-    """How a trained network is used.
+    """Settings of the prediction with a trained network.
 
     Attributes:
-        grouping: Of a sample's points by their embedding: ours, or SGPN's GroupMerging, category by category.
-        blocks: How a room is cut; samples are as large as in training.
-        merging: Of the blocks.
-        min_sizes: (13,) points that an object of each category must have; all stay unless given.
-        colour: Whether the network sees it.
-        batch: Samples that go through the network at once.
+        grouping: Grouping of the points of a sample: ours, or SGPN's GroupMerging by category.
+        blocks: Division of a room into blocks; samples are as large as in training.
+        merging: Merging of the blocks.
+        min_sizes: (13,) smallest number of points of an object of each category; no limit unless given.
+        colour: Whether the network sees colour.
+        batch: Number of samples that go through the network at once.
     """
 
     grouping: GroupingConfig | GroupMergingConfig = field(default_factory=lambda: sample_grouping(4096))
@@ -56,12 +56,12 @@ class RoomPredictorConfig:
 
 
 def sample_grouping(points: int, pairs: PairLossConfig | None = None, threshold: float | None = None) -> GroupingConfig:
-    """Return how the points of a sample of ``points`` are grouped after a training with ``pairs``.
+    """Return the grouping of a sample for a network trained with ``pairs``.
 
     Args:
-        points: Of a sample; groups may be as small, in proportion, as in SGPN's code.
-        pairs: Of the training.
-        threshold: Embedding distance; unless given, what the loss counts as grouped.
+        points: Number of points of a sample. The smallest group is in proportion to that of SGPN's code.
+        pairs: Pair loss of the training; the defaults unless given.
+        threshold: Embedding distance under which points are similar; the loss's own unless given.
     """
     pairs = pairs or PairLossConfig()
     return GroupingConfig(
@@ -74,13 +74,13 @@ def sample_grouping(points: int, pairs: PairLossConfig | None = None, threshold:
 
 @dataclass(frozen=True, eq=False)
 class SampleOutputs:
-    """What a network says about the P points of a sample, of which the first ``sample.distinct`` differ.
+    """Outputs of the network for the P points of a sample.
 
     Attributes:
-        sample: Which points.
-        embedding: (P, F) float32.
-        confidence: (P,) float32 in [0, 1].
-        categories: (P,) int64, the likeliest.
+        sample: Points of the sample, of which the first ``sample.distinct`` are distinct.
+        embedding: (P, F) float32 embedding.
+        confidence: (P,) float32 confidence in [0, 1].
+        categories: (P,) int64 most probable category.
     """
 
     sample: BlockSample
@@ -96,26 +96,42 @@ def describe_room(
     config: RoomPredictorConfig,
     device: torch.device | str = "cpu",
 ) -> Iterator[SampleOutputs]:
-    """Yield what the network says of samples that hold every point of a room, block by block."""
+    """Yield the outputs of a network for samples that cover every point of a room, block by block.
+
+    Args:
+        network: Trained network.
+        room: Room to describe.
+        rng: Source of the division of blocks into samples.
+        config: Settings of the prediction.
+        device: Device of the computation.
+    """
     frame = RoomFrame.of(room.xyz)
     coming = cover_room(room.xyz, config.blocks, rng)
     while samples := list(islice(coming, config.batch)):
         points = np.stack([point_features(room, frame, sample, config.colour) for sample in samples])
         with torch.inference_mode():
-            said = network(torch.from_numpy(points).to(device))
-            category_BN = said.semantics_BNS.argmax(dim=2)
-            arrays = [a.cpu().numpy() for a in (said.embedding_BNF.float(), said.confidence_BN.float(), category_BN)]
+            outputs = network(torch.from_numpy(points).to(device))
+            category_BN = outputs.semantics_BNS.argmax(dim=2)
+            arrays = [
+                a.cpu().numpy() for a in (outputs.embedding_BNF.float(), outputs.confidence_BN.float(), category_BN)
+            ]
         for k, sample in enumerate(samples):
             yield SampleOutputs(sample, *(array[k] for array in arrays))
 
 
 def group_sample(
-    said: SampleOutputs, xyz: NDArray[np.float32], grouping: GroupingConfig | GroupMergingConfig
+    outputs: SampleOutputs, xyz: NDArray[np.float32], grouping: GroupingConfig | GroupMergingConfig
 ) -> SampleGroups:
-    """Return the groups of a sample's distinct points; ``xyz`` are the room's."""
-    rows = slice(said.sample.distinct)
-    idx = said.sample.point_idx[rows]
-    embedding, confidence, categories = said.embedding[rows], said.confidence[rows], said.categories[rows]
+    """Return the groups of the distinct points of a sample.
+
+    Args:
+        outputs: Outputs of the network for the sample.
+        xyz: (N, 3) points of the room [m].
+        grouping: Settings of the grouping.
+    """
+    rows = slice(outputs.sample.distinct)
+    idx = outputs.sample.point_idx[rows]
+    embedding, confidence, categories = outputs.embedding[rows], outputs.confidence[rows], outputs.categories[rows]
     groups: Groups
     if isinstance(grouping, GroupMergingConfig):
         groups = merge_groups(embedding, confidence, xyz[idx], grouping, classes=categories)
@@ -124,20 +140,20 @@ def group_sample(
     return SampleGroups(point_idx=idx, groups=groups.labels, categories=categories, confidences=confidence)
 
 
-def merge_samples(said: Iterable[SampleOutputs], room: Room, config: RoomPredictorConfig) -> list[Instance]:
+def merge_samples(outputs: Iterable[SampleOutputs], room: Room, config: RoomPredictorConfig) -> list[Instance]:
     """Return the objects of a room, best confidence first."""
-    return merge_samples_at([config.grouping], said, room, config)[0]
+    return merge_samples_at([config.grouping], outputs, room, config)[0]
 
 
 def merge_samples_at(
     groupings: Sequence[GroupingConfig | GroupMergingConfig],
-    said: Iterable[SampleOutputs],
+    outputs: Iterable[SampleOutputs],
     room: Room,
     config: RoomPredictorConfig,
 ) -> list[list[Instance]]:
-    """Return the objects of a room for each grouping; the network runs once."""
+    """Return the objects of a room for each of several groupings; the network runs once."""
     mergers = [BlockMerger(room.xyz, config.merging) for _ in groupings]
-    for sample in said:
+    for sample in outputs:
         for merger, grouping in zip(mergers, groupings, strict=True):
             merger.add(group_sample(sample, room.xyz, grouping))
     min_sizes = None if config.min_sizes is None else np.array(config.min_sizes)
@@ -146,12 +162,12 @@ def merge_samples_at(
 
 @dataclass(frozen=True, kw_only=True)
 class RoomPredictor:
-    """Predicts rooms with the weights of a file; it can be sent to another process, which loads them itself.
+    """Prediction of rooms with the weights of a file. It can be pickled: another process loads the weights itself.
 
     Attributes:
-        weights: A ``.safetensors`` file of a training on rooms.
-        config: How to use them.
-        device: Where the network runs.
+        weights: ``.safetensors`` file of a training on rooms.
+        config: Settings of the prediction.
+        device: Device of the computation.
     """
 
     weights: Path
@@ -160,12 +176,13 @@ class RoomPredictor:
 
     @classmethod
     def from_file(cls, weights: Path, device: str = "cpu", threshold: float | None = None) -> "RoomPredictor":
-        """Use weights as their record says.
+        """Return the predictor of a file of weights, with the settings in its record.
 
         Args:
-            weights: A file that a training has written.
-            device: Where.
-            threshold: Of the grouping; unless given, the one chosen on held-out rooms, or else what the loss says.
+            weights: File that a training on rooms has written.
+            device: Device of the computation.
+            threshold: Threshold of the grouping. Unless given, it is the one chosen on held-out rooms, or else that of
+                the loss.
 
         Raises:
             WeightsError: The file holds no network of this project, or one that was not trained on rooms.
@@ -173,20 +190,25 @@ class RoomPredictor:
         return cls(weights=weights, config=config_of(weights, load_record(weights), threshold), device=device)
 
     def __call__(self, room: Room, rng: np.random.Generator) -> list[Instance]:
-        """Return the objects of a room, best confidence first; ``rng`` shares out its points among samples."""
+        """Return the objects of a room, best confidence first.
+
+        Args:
+            room: Room to predict.
+            rng: Source of the division of blocks into samples.
+        """
         network = _network(self.weights, self.weights.stat().st_mtime_ns, self.device)
         return merge_samples(describe_room(network, room, rng, self.config, self.device), room, self.config)
 
     def with_grouping(self, grouping: GroupingConfig | GroupMergingConfig) -> "RoomPredictor":
-        """Return the same with another grouping."""
+        """Return this predictor with another grouping."""
         return replace(self, config=replace(self.config, grouping=grouping))
 
 
 def config_of(weights: Path, record: dict[str, Any], threshold: float | None = None) -> RoomPredictorConfig:
-    """Return how a network is used after the training that its record describes; see `RoomPredictor.from_file`.
+    """Return the settings of the prediction from the record of a training; see `RoomPredictor.from_file`.
 
     Raises:
-        WeightsError: It was not trained on rooms.
+        WeightsError: The network was not trained on rooms.
     """
     try:
         training, chosen = record["training"], (record["validation"] or {}).get("threshold")
@@ -203,5 +225,5 @@ def config_of(weights: Path, record: dict[str, Any], threshold: float | None = N
 
 @lru_cache(maxsize=2)
 def _network(weights: Path, written: int, device: str) -> torch.nn.Module:  # noqa: ARG001
-    """Return the network of a file as it is since ``written``."""
+    """Return the network of a file; ``written``, its time stamp, is part of the cache's key."""
     return load_network(weights).to(device)

@@ -1,4 +1,4 @@
-"""The four rows of the paper's Table 1 as trainings: to its letter, and all under one small budget."""
+"""The four rows of the paper's Table 1 as trainings, with the paper's settings or with one small budget."""
 
 from dataclasses import replace
 from typing import Literal, get_args
@@ -11,11 +11,11 @@ from perception.segmentation.training.augment import NONE
 from perception.segmentation.training.losses import PairLossConfig
 from perception.segmentation.training.presets import PRESETS, TrainingConfig
 
-ROWS: tuple[RowName, ...] = get_args(RowName)  # in the table's order
+ROWS: tuple[RowName, ...] = get_args(RowName)  # in the order of the table
 
-# What the rows of the small budget share: a schedule that learns in some 1000 steps of a processor, and the distance of
-# SGPN's code, 10 |df|^2. With |df| the margin of 80 swamps the other terms: after 250 steps of dgcnn-new-colour (one
-# training each, 3 synthetic test rooms) the semantic loss stood at 0.92 instead of 0.63, mean AP50 at 22 instead of 28.
+# Shared by the rows of the small budget: a schedule that learns in about 1000 steps on a CPU, and the distance of
+# SGPN's code, 10 |df|^2. With |df| the margin of 80 dominates the other terms: after 250 steps of dgcnn-new-colour (one
+# training each, 3 synthetic test rooms) the semantic loss was 0.92 instead of 0.63, and mean AP50 22 instead of 28.
 SMALL = TrainingConfig(augment=NONE, batch=4, points=1024, learning_rate=1e-3, warmup=50, ema=0.99)
 
 
@@ -32,12 +32,12 @@ def has_new_loss(row: RowName) -> bool:
 
 
 def row_training(row: RowName, budget: BudgetName = "paper") -> TrainingConfig:
-    """Return how a row is trained.
+    """Return the settings of the training of a row.
 
     Args:
-        row: Of Table 1.
-        budget: ``paper``: rows with eq. (1) as the released code of SGPN, which the paper ran, those with eq. (2) as
-            section IV says. ``small``: rows differ in trunk, colour and equation alone.
+        row: Row of Table 1.
+        budget: With ``paper``, rows with eq. (1) follow the released code of SGPN, which the paper ran, and rows with
+            eq. (2) follow section IV. With ``small``, rows differ only in trunk, colour and equation.
 
     Raises:
         ValueError: There is no such row or budget.

@@ -22,13 +22,13 @@ Run = Callable[[Callable[[int], SceneMatches], Sequence[int]], Iterator[SceneMat
 
 @dataclass(frozen=True, kw_only=True)
 class S3disScores:
-    """A row of Table 1, in [0, 1]; NaN where no room has an object of a category to find.
+    """Scores of a row of Table 1 in [0, 1]; NaN for a category without an object in any room.
 
     Attributes:
-        ap50: By category, the twelve.
-        mean_ap50: Their mean, of those that are known.
-        ap25: Mean at IoU .25.
-        ap: Mean over IoU .50, .55 ... .90.
+        ap50: Average precision at IoU 0.50 of each of the twelve categories.
+        mean_ap50: Mean of ``ap50`` over the categories that occur.
+        ap25: Mean over the categories of the average precision at IoU 0.25.
+        ap: Mean over the categories of the average precision over IoU 0.50, 0.55 ... 0.90.
     """
 
     ap50: dict[str, float]
@@ -38,7 +38,7 @@ class S3disScores:
 
     @classmethod
     def of(cls, matches: Sequence[SceneMatches]) -> "S3disScores":
-        """Return the scores of rooms, pooled."""
+        """Return the scores of all rooms pooled."""
         found = ap_summary(matches).per_class
         known = {name: found[CATEGORIES.index(name)] for name in SCORED if CATEGORIES.index(name) in found}
         return cls(
@@ -50,10 +50,10 @@ class S3disScores:
 
 
 def room_truth(room: Room) -> SceneTruth:
-    """Return the objects to find.
+    """Return the ground truth of a room.
 
     Note:
-        Clutter is a category as the others, so that a chair found on clutter is wrong; only the means leave it out.
+        Clutter is a category like any other, so a chair predicted on clutter is wrong. Only the means leave it out.
     """
     categories = room.category_of_instance()
     return SceneTruth(
@@ -64,7 +64,7 @@ def room_truth(room: Room) -> SceneTruth:
 
 
 def repeated(truth: SceneTruth, instances: Sequence[Instance], rows: Ints) -> tuple[SceneTruth, list[Instance]]:
-    """Return truth and prediction over (R,) ``rows``, which name points as often as they count."""
+    """Return truth and prediction over the points ``rows``, (R,) indices that name a point as often as it counts."""
     again = SceneTruth(
         instance_ids=truth.instance_ids[rows],
         class_of_instance=truth.class_of_instance,
@@ -81,7 +81,7 @@ def repeated(truth: SceneTruth, instances: Sequence[Instance], rows: Ints) -> tu
 
 
 def room_rng(name: str, seed: int) -> np.random.Generator:
-    """Return a room's own chance, whatever rooms come before it."""
+    """Return the random generator of a room, which depends on its name and the seed alone."""
     return np.random.default_rng(np.random.SeedSequence([seed, zlib.crc32(name.encode())]))
 
 
@@ -92,15 +92,15 @@ def match_room(
     blocks: BlockConfig | None = None,
     seed: int = 0,
 ) -> SceneMatches:
-    """Judge the prediction on a room.
+    """Match the prediction of a room with its truth.
 
     Args:
-        predict: Of the room and its own chance.
-        room: To predict.
-        population: The room's points, each once; or the points of the samples of all blocks, one after the other, as
-            the released code counts: a point in the middle of the room four times, in a sparse block more often.
-        blocks: Of that population.
-        seed: From which the room's chance follows, the same for prediction and population.
+        predict: Returns the objects of a room, given its random generator.
+        room: Room to predict.
+        population: Points that count: each point of the room once (``room``), or the points of the samples of all
+            blocks as in the released code (``blocks``), where a point in the middle of the room counts four times.
+        blocks: Division into blocks for the population ``blocks``.
+        seed: Seed of the random generator, the same for prediction and population.
 
     Raises:
         ValueError: There is no such population.
@@ -117,10 +117,17 @@ def match_room(
 def match_rooms(
     predict: Predict, paths: Sequence[Path], run: Run = map, population: Population = "room", seed: int = 0
 ) -> Iterator[SceneMatches]:
-    """Judge a prediction on the rooms of files; ``run`` maps over their indices, in any order and any process.
+    """Match the predictions of rooms with their truth.
+
+    Args:
+        predict: Returns the objects of a room, given its random generator.
+        paths: Files of the rooms.
+        run: Maps a function over the indices of the rooms, in any order and any process.
+        population: Points that count, see :func:`match_room`.
+        seed: Seed of the random generators of the rooms.
 
     Raises:
-        RoomError: A file holds no whole room.
+        RoomError: A file does not hold a complete room.
     """
     return iter(run(partial(_match_file, predict, tuple(paths), population, seed), range(len(paths))))
 

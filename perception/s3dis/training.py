@@ -1,4 +1,4 @@
-"""The training of a row of Table 1, by the loop that trains networks of bins, and the threshold that goes with it."""
+"""Training of a row of Table 1, and the choice of the threshold of its grouping."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ from perception.segmentation.training.presets import EPOCHS, TrainingConfig
 from perception.segmentation.training.run import Log, RunConfig, resume, train
 from perception.segmentation.weights import Network
 
-NAME = "s3dis"  # what the networks are for, in their records
+NAME = "s3dis"  # entry of the networks' records in place of the name of a part
 TRAINED_AREAS = tuple(area for area in AREAS if area != TEST_AREA)
 THRESHOLDS = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0)  # embedding distances to choose from; the margins are 5 and 10
 
@@ -32,16 +32,16 @@ THRESHOLDS = (1.0, 2.0, 3.0, 5.0, 7.5, 10.0)  # embedding distances to choose fr
 class RowTraining:
     """A training on rooms."""
 
-    rooms: Path  # folder made by prepare; those of Area 5 are left alone
-    row: RowName = "dgcnn-new-colour"  # of Table 1
-    budget: BudgetName = "paper"  # paper: as it says, for a GPU; small: rows differ in trunk, colour and loss alone
-    steps: int | None = None  # of the training; the paper's 200 epochs unless given
-    seed: int = 0  # of weights and samples
-    batch: int | None = None  # blocks a step; the budget's unless given
-    points: int | None = None  # of a sample of a block; the budget's unless given
-    learning_rate: float | None = None  # the budget's unless given
+    rooms: Path  # folder of rooms made by prepare; the rooms of Area 5 are not used
+    row: RowName = "dgcnn-new-colour"  # row of Table 1
+    budget: BudgetName = "paper"  # paper: its settings, for a GPU; small: rows differ only in trunk, colour and loss
+    steps: int | None = None  # number of steps; the paper's 200 epochs unless given
+    seed: int = 0  # seed of the initial weights and the samples
+    batch: int | None = None  # number of blocks in a step; the budget's unless given
+    points: int | None = None  # number of points in a sample of a block; the budget's unless given
+    learning_rate: float | None = None  # largest learning rate; the budget's unless given
     out: Path | None = None  # folder of checkpoint, log and weights; runs/s3dis-ROW-BUDGET-SEED unless given
-    held_out: int = 4  # training rooms kept to choose the grouping's threshold on; without any, the loss says it
+    held_out: int = 4  # number of training rooms to choose the threshold of the grouping on; 0 takes the loss's
 
     def __post_init__(self) -> None:
         if self.held_out < 0:
@@ -49,26 +49,31 @@ class RowTraining:
         self.config()
 
     def config(self) -> TrainingConfig:
-        """Return how to train."""
+        """Return the settings of the training."""
         given = {name: getattr(self, name) for name in ("batch", "points", "learning_rate")}
         chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         return replace(row_training(self.row, self.budget), seed=self.seed, **chosen)
 
     def folder(self) -> Path:
-        """Return where the training is kept."""
+        """Return the folder of the training."""
         return self.out or Path("runs") / f"s3dis-{self.row}-{self.budget}-{self.seed}"
 
     def length(self, blocks: int, world: int = 1) -> Length:
-        """Return how long to train on so many blocks, in so many processes."""
+        """Return the length of the training.
+
+        Args:
+            blocks: Number of blocks of all rooms.
+            world: Number of processes that train together.
+        """
         config = self.config()
         return Length(steps=self.steps if self.steps is not None else EPOCHS * blocks // (config.batch * world))
 
     def files(self) -> tuple[list[Path], list[Path]]:
-        """Return the rooms to train on, and those held out, which are spread over the others' order.
+        """Return the files of the rooms to train on, and of those held out, which are spread evenly over the rooms.
 
         Raises:
             FileNotFoundError: There are no rooms of the areas to train on.
-            ValueError: None would be left.
+            ValueError: No room would be left to train on.
         """
         paths = find_rooms(self.rooms, TRAINED_AREAS)
         if self.held_out >= len(paths):
@@ -84,17 +89,17 @@ def train_row(
     on_step: Callable[[StepRecord], None] | None = None,
     on_evaluation: Callable[[Log], None] | None = None,
 ) -> Log:
-    """Train a row, or go on with its training, choose the threshold and write the weights.
+    """Train a row or resume its training, choose the threshold and write the weights.
 
     Args:
-        training: Which.
-        place: Of this process among those that train together.
-        device: Where.
-        on_step: Called after each step.
-        on_evaluation: Called with the log's last line.
+        training: Row, rooms and settings.
+        place: Place of this process among those that train together.
+        device: Device of the computation.
+        on_step: Called after each step with its record.
+        on_evaluation: Called with the last line of the log.
 
     Returns:
-        The log's last line; its ``validation`` is `judge_thresholds`'.
+        The last line of the log; its ``validation`` is the result of `judge_thresholds`.
 
     Raises:
         FileNotFoundError: There are no rooms.
@@ -126,10 +131,17 @@ def train_row(
 def judge_thresholds(
     network: Network, paths: Sequence[Path], config: TrainingConfig, min_sizes: Sequence[float], device: str = "cpu"
 ) -> dict[str, float]:
-    """Return the threshold of the grouping that is best on rooms, with AP50, AP25 and AP there, all means.
+    """Return the best threshold of the grouping on rooms, with its mean AP50, AP25 and AP.
 
-    Of equals, by AP50 and then AP25, the one nearest to what the loss says is best. (SGPN's code chooses one for each
-    category, in a histogram whose counts are broken.)
+    Thresholds are compared by AP50, then by AP25, then by their distance to the threshold of the loss. SGPN's code
+    chooses a threshold for each category from a faulty histogram.
+
+    Args:
+        network: Trained network.
+        paths: Files of the rooms.
+        config: Settings of the training.
+        min_sizes: (13,) smallest number of points of an object of each category.
+        device: Device of the computation.
     """
     groupings = [sample_grouping(config.points, config.pairs, threshold) for threshold in THRESHOLDS]
     how = RoomPredictorConfig(
@@ -138,11 +150,11 @@ def judge_thresholds(
     matches = []
     for path in paths:
         room = Room.load(path)
-        said = describe_room(network, room, room_rng(room.name, config.seed), how, device)
-        found = merge_samples_at(groupings, said, room, how)
+        outputs = describe_room(network, room, room_rng(room.name, config.seed), how, device)
+        found = merge_samples_at(groupings, outputs, room, how)
         matches.append([match_scene(room_truth(room), instances) for instances in found])
     scores = [S3disScores.of([room[k] for room in matches]) for k in range(len(THRESHOLDS))]
-    best = max(range(len(scores)), key=lambda k: _goodness(scores[k], THRESHOLDS[k], config.pairs.threshold))
+    best = max(range(len(scores)), key=lambda k: _rank(scores[k], THRESHOLDS[k], config.pairs.threshold))
     return {
         "threshold": THRESHOLDS[best],
         "ap50": scores[best].mean_ap50,
@@ -151,7 +163,7 @@ def judge_thresholds(
     }
 
 
-def _goodness(scores: S3disScores, threshold: float, expected: float) -> tuple[float, float, float]:
+def _rank(scores: S3disScores, threshold: float, expected: float) -> tuple[float, float, float]:
     known = np.nan_to_num([scores.mean_ap50, scores.ap25])  # NaN if the rooms have nothing to find
     return float(known[0]), float(known[1]), -abs(threshold - expected)
 

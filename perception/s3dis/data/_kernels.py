@@ -1,4 +1,4 @@
-"""The compiled reader of raw points: bytes in, arrays out."""
+"""The compiled parser of raw points: bytes in, arrays out."""
 
 import numpy as np
 from numba import njit
@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
 
-WHOLE, NOT_A_NUMBER, NOT_SIX, NO_COLOUR, OUT_OF_RANGE = range(5)  # verdicts on a text
-LARGEST = 1e6  # of a coordinate [m]
+WHOLE, NOT_A_NUMBER, NOT_SIX, NO_COLOUR, OUT_OF_RANGE = range(5)  # results of parsing
+LARGEST = 1e6  # largest absolute coordinate [m]
 
 _SPACE, _TAB, _RETURN, _NEWLINE, _PLUS, _MINUS, _DOT, _0, _9 = 32, 9, 13, 10, 43, 45, 46, 48, 57
-_DIGITS = 18  # of a number that fit an int64; further ones are beneath a float32
+_DIGITS = 18  # number of digits that fit an int64; a float32 cannot resolve further ones
 _POWERS = 10.0 ** np.arange(23)  # exact in float64
 
 
@@ -26,11 +26,12 @@ def _scaled(mantissa: int, exponent: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _number(text: Bytes, start: int) -> tuple[float, int, bool]:
-    """Return the number at ``start``, the index behind it, and whether there is one, up to a blank or the end."""
+    """Return the number at ``start``, the index behind it, and whether it is well-formed up to a blank or the end."""
     end, i = len(text), start
     negative = i < end and text[i] == _MINUS
     if i < end and (text[i] == _MINUS or text[i] == _PLUS):
         i += 1
+    # Digits and the decimal point.
     mantissa, kept, seen, exponent, decimal = 0, 0, 0, 0, 0
     while i < end:
         byte = text[i]
@@ -48,6 +49,7 @@ def _number(text: Bytes, start: int) -> tuple[float, int, bool]:
             break
         i += 1
     if seen > 0 and i < end and (text[i] == 101 or text[i] == 69):  # e, E
+        # The exponent after an e or E.
         i += 1
         sign = -1 if i < end and text[i] == _MINUS else 1
         if i < end and (text[i] == _MINUS or text[i] == _PLUS):
@@ -65,7 +67,7 @@ def _number(text: Bytes, start: int) -> tuple[float, int, bool]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _store(value: float, row: int, column: int, points: NDArray[np.float32], colours: Bytes) -> int:
-    """Write a number of a line to its place; return the verdict on it."""
+    """Write a number of a line to its array; return the result of its check."""
     if column < 3:
         if not abs(value) <= LARGEST:
             return OUT_OF_RANGE
@@ -79,15 +81,15 @@ def _store(value: float, row: int, column: int, points: NDArray[np.float32], col
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def parse_points(text: Bytes, points: NDArray[np.float32], colours: Bytes) -> tuple[int, int, int]:
-    """Read lines of x, y, z, red, green, blue; blank lines do not count.
+    """Parse lines of x, y, z, red, green, blue; blank lines do not count.
 
     Args:
-        text: (B,) uint8.
-        points: (L, 3) float32, written; L is the number of lines or more.
-        colours: (L, 3) uint8, written.
+        text: (B,) uint8 bytes of the text.
+        points: (L, 3) float32 array that receives the coordinates; L is at least the number of lines.
+        colours: (L, 3) uint8 array that receives the colours.
 
     Returns:
-        Number of points, verdict, and the number (from 1) of the first line that is not whole.
+        Number of points, result, and the number (from 1) of the first malformed line.
     """
     count, line, column, i, end = 0, 1, 0, 0, len(text)
     while i < end:

@@ -1,4 +1,4 @@
-"""One member of the raw tree: the points of one object, as text."""
+"""An annotation file of the raw tree: the points of one object as text."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -11,15 +11,15 @@ from perception.s3dis.data._kernels import LARGEST, NO_COLOUR, NOT_A_NUMBER, NOT
 Singles = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 
-# Bytes that lost a bit in the archives as published: in the aligned version line 180389 of the first reads
-# "185\x00187", in the version that is not aligned line 323474 of the second reads "103.0\x100000". Both miss 0x20.
-# (Two of the files that hold a room as a whole are damaged as well; those are not read.)
+# Files with a byte that lost the bit 0x20 in the published archives: in the aligned version, line 180389 of the first
+# reads "185\x00187"; in the unaligned version, line 323474 of the second reads "103.0\x100000".
+# (Two of the files with all points of a room are damaged as well, but they are not read.)
 KNOWN_FAULTS = ("Area_5/hallway_6/Annotations/ceiling_1.txt", "Area_5/office_19/Annotations/ceiling_1.txt")
 _LOST_BIT = 0x20
 _NEWLINE = 10
 
 _FAULTS = {
-    NOT_A_NUMBER: "what is not a number",
+    NOT_A_NUMBER: "text that is not a number",
     NOT_SIX: "not 6 numbers",
     NO_COLOUR: "a colour that is not a whole number from 0 to 255",
     OUT_OF_RANGE: f"a coordinate beyond {LARGEST:.0f} m",
@@ -34,9 +34,9 @@ class Annotation(NamedTuple):
     """The points of one object.
 
     Attributes:
-        xyz: (N, 3) building frame [m].
-        rgb: (N, 3).
-        remark: What was repaired; "" if nothing was.
+        xyz: (N, 3) points in the building frame [m].
+        rgb: (N, 3) colours.
+        remark: Description of a repair; "" if nothing was repaired.
     """
 
     xyz: Singles
@@ -48,23 +48,24 @@ def read_annotation(path: Path, name: str) -> Annotation:
     """Read a file of lines ``x y z red green blue``.
 
     Args:
-        path: Of the file.
-        name: Its path inside the tree, with slashes, by which the known faults are recognised.
+        path: Path of the file.
+        name: Path of the file inside the tree, with slashes, by which known faults are recognised.
 
     Raises:
-        RawDataError: A line is malformed, or there is none; the text names the file and the line.
+        RawDataError: A line is malformed, or there is none; the message names the file and the line.
         OSError: The file cannot be read.
 
-    Note: 2.5 to 4 million points a second. A known fault is mended in memory and remarked upon, no other one is.
+    Note:
+        It reads 2.5 to 4 million points per second. Known faults are repaired in memory with a remark; others raise.
     """
     text = np.frombuffer(path.read_bytes(), np.uint8)
     points, colours, count, verdict, line = _parsed(text)
     remark = ""
     if verdict != WHOLE and name in KNOWN_FAULTS:
-        for mended in _mended(text, line):
-            points, colours, count, again, _ = _parsed(mended)
+        for repaired in _repaired(text, line):
+            points, colours, count, again, _ = _parsed(repaired)
             if again == WHOLE:
-                verdict, remark = WHOLE, f"{name}, line {line}: mended a damaged byte"
+                verdict, remark = WHOLE, f"{name}, line {line}: repaired a damaged byte"
                 break
     if verdict != WHOLE:
         raise RawDataError(f"{path}, line {line} holds {_FAULTS[verdict]}: {_line(text, line)!r}")
@@ -74,14 +75,14 @@ def read_annotation(path: Path, name: str) -> Annotation:
 
 
 def _parsed(text: Bytes) -> tuple[Singles, Bytes, int, int, int]:
-    """Return points and colours, of which as many are set as the third says, then the verdict and its line."""
+    """Return points, colours, the number of them that are set, the result of parsing, and its line."""
     lines = int(np.count_nonzero(text == _NEWLINE)) + 1
     points, colours = np.empty((lines, 3), np.float32), np.empty((lines, 3), np.uint8)
     return points, colours, *parse_points(text, points, colours)
 
 
-def _mended(text: Bytes, line: int) -> list[Bytes]:
-    """Return the readings of a line with control characters: with the bit that they lost, or as blanks."""
+def _repaired(text: Bytes, line: int) -> list[Bytes]:
+    """Return two texts in which the control characters of a line have the lost bit restored, or are blanks."""
     first, end = _span(text, line)
     damaged = first + np.flatnonzero((text[first:end] < _LOST_BIT) & ~np.isin(text[first:end], (9, 13)))
     readings = []

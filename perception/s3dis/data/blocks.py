@@ -1,6 +1,6 @@
-"""Rooms cut into columns of 1 m x 1 m, and columns into the samples that a network sees.
+"""Division of rooms into blocks of 1 m x 1 m, and of blocks into the samples that a network sees.
 
-The room's frame here is the building's, moved so that the room's least x, y and z are 0 (as in the released code).
+The room frame is the building frame, moved so that the least x, y and z of the room are 0 (as in the released code).
 """
 
 from collections.abc import Iterator
@@ -19,13 +19,13 @@ Singles = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True)
 class BlockConfig:
-    """How a room is cut (the constants of PointNet's and SGPN's code).
+    """Division of a room into blocks, with the constants of PointNet's and SGPN's code.
 
     Attributes:
         size: Side of a block [m].
-        stride: From block to block [m].
-        points: Of a sample.
-        min_points: A block with fewer is left out.
+        stride: Distance between neighbouring blocks [m].
+        points: Number of points of a sample.
+        min_points: Number of points of the smallest block.
     """
 
     size: float = 1.0
@@ -41,11 +41,11 @@ class BlockConfig:
 
 
 class Block(NamedTuple):
-    """A column of a room.
+    """A block of a room.
 
     Attributes:
-        centre: (2,) x and y of its middle, room's frame [m].
-        point_idx: (M,) ascending indices into the room's points.
+        centre: (2,) x and y of its centre in the room frame [m].
+        point_idx: (M,) ascending indices into the points of the room.
     """
 
     centre: Floats
@@ -53,12 +53,12 @@ class Block(NamedTuple):
 
 
 class BlockSample(NamedTuple):
-    """What a network sees of a block.
+    """A sample of the points of a block, the input of a network.
 
     Attributes:
-        centre: (2,) of the block, room's frame [m].
-        point_idx: (P,) indices into the room's points.
-        distinct: The first so many differ from each other; the others repeat them where the block has too few.
+        centre: (2,) x and y of the centre of the block in the room frame [m].
+        point_idx: (P,) indices into the points of the room.
+        distinct: Number of leading points that are distinct. The others repeat them, where the block has too few.
     """
 
     centre: Floats
@@ -68,11 +68,11 @@ class BlockSample(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RoomFrame:
-    """Where a room lies.
+    """Position and extent of a room.
 
     Attributes:
-        low: (3,) least coordinates, building frame [m].
-        extent: (3,) from the least to the greatest [m].
+        low: (3,) least coordinates in the building frame [m].
+        extent: (3,) greatest minus least coordinates [m].
     """
 
     low: Floats
@@ -80,20 +80,21 @@ class RoomFrame:
 
     @classmethod
     def of(cls, xyz: Singles) -> "RoomFrame":
-        """Return the frame of (N, 3) points."""
+        """Return the frame of a room with (N, 3) points [m]."""
         low = xyz.min(axis=0).astype(np.float64)
         return cls(low=low, extent=xyz.max(axis=0) - low)
 
 
 def find_blocks(xyz: Singles, config: BlockConfig, cover: bool = False) -> list[Block]:
-    """Cut a room into blocks, row by row along y, every other row backwards, as the released code goes.
+    """Return the blocks of a room, row by row along y, every other row backwards as in the released code.
 
     Args:
-        xyz: (N, 3) building frame [m].
-        config: Size and stride.
-        cover: Keep a block of too few points if one of them is in no other block: at test every point counts.
+        xyz: (N, 3) points in the building frame [m].
+        config: Size, stride and smallest number of points.
+        cover: Keep a block of too few points if one of them is in no other block, because every point counts at test.
 
-    Note: edges belong to both blocks. Unlike in the released code a room narrower than the stride has a block.
+    Note:
+        Edges belong to both blocks. Unlike in the released code, a room narrower than the stride has a block.
     """
     require_shape("xyz", xyz, (None, 3))
     frame = RoomFrame.of(xyz)
@@ -112,7 +113,7 @@ def find_blocks(xyz: Singles, config: BlockConfig, cover: bool = False) -> list[
 
 
 class _Tiles:
-    """Points by square tile of a plan."""
+    """The points of a floor plan, sorted by square tile."""
 
     def __init__(self, plan: Floats, side: float) -> None:
         tile = (plan / side).astype(np.int64)
@@ -146,7 +147,7 @@ def _kept(blocks: list[Block], points: int, least: int, cover: bool) -> list[Blo
 
 
 def draw_sample(block: Block, points: int, rng: np.random.Generator) -> BlockSample:
-    """Draw ``points`` of a block, to train on; all of them and some twice where it has fewer."""
+    """Draw a sample of ``points`` points of a block; a smaller block gives all of its points and repeats some."""
     idx, count = block.point_idx, len(block.point_idx)
     if count >= points:
         return BlockSample(block.centre, idx[rng.choice(count, points, replace=False)], points)
@@ -155,7 +156,7 @@ def draw_sample(block: Block, points: int, rng: np.random.Generator) -> BlockSam
 
 
 def split_block(block: Block, points: int, rng: np.random.Generator) -> list[BlockSample]:
-    """Share out every point of a block among samples of ``points``; the last is filled up with others of the block."""
+    """Divide the points of a block into samples of ``points``; the last one is filled with others of the block."""
     count = len(block.point_idx)
     if count <= points:
         return [draw_sample(block, points, rng)]
@@ -169,17 +170,17 @@ def split_block(block: Block, points: int, rng: np.random.Generator) -> list[Blo
 
 
 def cover_room(xyz: Singles, config: BlockConfig, rng: np.random.Generator) -> Iterator[BlockSample]:
-    """Yield samples, block by block, that hold every point of a room at least once."""
+    """Yield samples, block by block, that contain every point of a room at least once."""
     for block in find_blocks(xyz, config, cover=True):
         yield from split_block(block, config.points, rng)
 
 
 def point_features(room: Room, frame: RoomFrame, sample: BlockSample, colour: bool = True) -> Singles:
-    """Return the (P, 9) points as a network sees them; (P, 6) without colour.
+    """Return the (P, 9) input features of the points of a sample; (P, 6) without colour.
 
-    Columns: x and y from the block's middle and height above the room's lowest point [m], red, green, blue in [0, 1],
-    the place in the room from 0 to 1 on each axis. (The released code takes the block's middle from the least
-    coordinates of the sampled points, so that it wanders with the sample; here it is the block's own.)
+    The columns are x and y relative to the centre of the block and height above the lowest point of the room [m], red,
+    green and blue in [0, 1], and the position in the room from 0 to 1 on each axis. Differs from the released code,
+    which takes the centre of the block from the least coordinates of the sampled points, so it varies with the sample.
     """
     placed = room.xyz[sample.point_idx] - frame.low
     local = placed - np.append(sample.centre, 0.0)

@@ -16,7 +16,7 @@ CATEGORIES = (
     "clutter",
 )
 CLUTTER = CATEGORIES.index("clutter")
-SCORED = CATEGORIES[:CLUTTER]  # the twelve of the paper's Table 1
-READ_AS = {"stairs": "clutter"}  # a name in the raw tree that is no category, as PointNet's and SGPN's code read it
+SCORED = CATEGORIES[:CLUTTER]  # the twelve categories of the paper's Table 1
+READ_AS = {"stairs": "clutter"}  # names in the raw tree that are no categories, as PointNet's and SGPN's code read them
 AREAS = (1, 2, 3, 4, 5, 6)
 TEST_AREA = 5

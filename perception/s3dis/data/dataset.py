@@ -1,4 +1,4 @@
-"""Training samples out of labelled rooms: a pure function of (rooms, seed, step)."""
+"""Training samples from labelled rooms, a pure function of rooms, seed and step."""
 
 import hashlib
 from collections.abc import Sequence
@@ -17,19 +17,19 @@ from perception.segmentation.training.augment import NONE
 from perception.segmentation.training.dataset import Batch
 from perception.segmentation.training.presets import TrainingConfig
 
-COLOURED, COLOURLESS = 9, 6  # coordinates of a point with colour and without
+COLOURED, COLOURLESS = 9, 6  # number of input features of a point with and without colour
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PackedRoom:
-    """A room of N points cut into B blocks, K points in all, as points are in several.
+    """A room of N points divided into B blocks. Blocks overlap, and have K points in all.
 
     Attributes:
-        room: The points and the truth.
-        frame: Where it lies.
-        centres: (B, 2) x and y of the blocks' middles, room's frame [m].
-        point_idx: (K,) int32 indices into the room's points, block after block.
-        starts: (B + 1,) where each block begins among them.
+        room: Points and truth.
+        frame: Position and extent of the room.
+        centres: (B, 2) x and y of the centres of the blocks in the room frame [m].
+        point_idx: (K,) int32 indices into the points of the room, block after block.
+        starts: (B + 1,) index of the first point of each block in ``point_idx``.
     """
 
     room: Room
@@ -40,7 +40,7 @@ class PackedRoom:
 
     @classmethod
     def pack(cls, room: Room, config: BlockConfig | None = None) -> "PackedRoom":
-        """Cut a room as the blocks of a training are; one without a whole block has none."""
+        """Return a room divided into blocks for training; blocks of too few points are left out."""
         blocks = find_blocks(room.xyz, config or BlockConfig())
         return cls(
             room=room,
@@ -62,7 +62,7 @@ def load_packed_rooms(paths: Sequence[Path], config: BlockConfig | None = None) 
     """Read rooms into memory, about 40 bytes a point: 8 GB for the five areas of S3DIS that are trained on.
 
     Raises:
-        RoomError: A file holds no whole room.
+        RoomError: A file does not hold a complete room.
         ValueError: No room has a block to learn from.
     """
     packed = [PackedRoom.pack(Room.load(path), config) for path in paths]
@@ -73,15 +73,15 @@ def load_packed_rooms(paths: Sequence[Path], config: BlockConfig | None = None) 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BlockBatches:
-    """Makes the batch of any step out of rooms in memory; every block is as likely as any other.
+    """Source of batches from rooms in memory; all blocks are equally probable.
 
     Attributes:
-        rooms: To draw from.
-        batch: Samples of a step.
-        points: Points of a sample.
-        colour: Whether the network sees it.
-        seed: Of everything that is drawn.
-        rank: Of this process among several that train together.
+        rooms: Rooms to draw from.
+        batch: Number of samples in a batch.
+        points: Number of points in a sample.
+        colour: Whether the network sees colour.
+        seed: Seed of everything that is drawn.
+        rank: Index of this process among those that train together.
     """
 
     rooms: Sequence[PackedRoom]
@@ -93,10 +93,10 @@ class BlockBatches:
 
     @classmethod
     def of(cls, config: TrainingConfig, rooms: Sequence[PackedRoom], rank: int = 0) -> "BlockBatches":
-        """Return what makes the batches of a training.
+        """Return the source of batches of a training.
 
         Raises:
-            ValueError: Its network is not one over points, or it asks for variations that rooms do not have.
+            ValueError: The network does not take points of rooms, or augmentation is asked for.
         """
         if config.augment != NONE:
             raise ValueError(f"rooms are trained on without augmentation, got {config.augment}")
@@ -111,7 +111,7 @@ class BlockBatches:
 
     @cached_property
     def scenes(self) -> Sequence[tuple[PackedRoom, int]]:
-        """Return the blocks, each as its room and its number there."""
+        """The blocks of all rooms, as pairs of a room and an index."""
         return [(room, k) for room in self.rooms for k in range(len(room))]
 
     def digest(self) -> str:
@@ -120,7 +120,7 @@ class BlockBatches:
         return hashlib.sha256(facts.encode()).hexdigest()
 
     def __call__(self, step: int) -> Batch:
-        """Return the batch of ``step``: the same bits at every call. Its points are in metres."""
+        """Return the batch of ``step``, which is the same at every call. Its points are in metres."""
         rng = np.random.default_rng(np.random.SeedSequence([self.seed, self.rank, step]))
         features, ids, classes = [], [], []
         for index in rng.integers(len(self.scenes), size=self.batch):
@@ -139,10 +139,10 @@ class BlockBatches:
 
 
 def sees_colour(network: object) -> bool:
-    """Return whether a network, told by its config, is one of rooms with colour, or of those without.
+    """Return whether a network, given by its configuration, sees colour.
 
     Raises:
-        ValueError: It is neither.
+        ValueError: The network does not take points of rooms.
     """
     channels: int | None = getattr(network, "in_channels", None)
     if channels not in (COLOURED, COLOURLESS):

@@ -1,4 +1,4 @@
-"""From the raw tree to compact rooms: one file each, whole or absent."""
+"""Conversion of the raw tree to compact files, one for each room."""
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
@@ -20,14 +20,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedRoom:
-    """What became of a room.
+    """Result of the preparation of a room.
 
     Attributes:
-        name: "Area_5/office_1".
-        points: Of the room.
-        objects: By category.
-        remarks: What was odd about its files.
-        new: It was read now; a whole one was there otherwise.
+        name: Name of the room, such as "Area_5/office_1".
+        points: Number of points.
+        objects: Number of objects by category.
+        remarks: Irregularities of its raw files.
+        new: Whether the room was read now; otherwise a complete file was there.
     """
 
     name: str
@@ -42,17 +42,17 @@ Run = Callable[[Work, Sequence[int]], Iterator[PreparedRoom]]  # maps over indic
 
 
 def prepare_rooms(rooms: Sequence[RawRoom], out: Path, run: Run = map) -> Iterator[PreparedRoom]:
-    """Write each room to ``out`` and yield what became of it; at the end, write the folder's note.
+    """Write a file for each room and yield each result; at the end, write a description of the folder.
 
-    A file that is whole and was read of the same members is kept, any other one is made again.
+    A complete file that was made from the same raw files is kept. Any other file is made again.
 
     Args:
-        rooms: Of the raw tree.
-        out: Folder of the rooms.
-        run: How to go over them; the largest comes first, so that none is waited for at the end.
+        rooms: Rooms of the raw tree.
+        out: Folder of the files.
+        run: Maps a function over the indices of the rooms. The largest room comes first, which balances processes.
 
     Raises:
-        RawDataError: A member is malformed; rooms that are finished stay.
+        RawDataError: A raw file is malformed; finished rooms remain.
     """
     order = sorted(range(len(rooms)), key=lambda k: -sum(rooms[k].sizes))
     done = []
@@ -64,7 +64,7 @@ def prepare_rooms(rooms: Sequence[RawRoom], out: Path, run: Run = map) -> Iterat
 
 
 def summary(done: Sequence[PreparedRoom]) -> dict[str, Any]:
-    """Return numbers of rooms, of new ones among them and of points, and all remarks."""
+    """Return the number of rooms, of new rooms and of points, and all remarks."""
     return {
         "rooms": len(done),
         "new": sum(room.new for room in done),
@@ -76,7 +76,7 @@ def summary(done: Sequence[PreparedRoom]) -> dict[str, Any]:
 def _prepare(rooms: Sequence[RawRoom], out: Path, index: int) -> PreparedRoom:
     raw = rooms[index]
     path = room_path(out, raw.name)
-    room = _whole(path, raw.digest())
+    room = _finished(path, raw.digest())
     new = room is None
     if room is None:
         room = raw.read()
@@ -92,7 +92,7 @@ def _prepare(rooms: Sequence[RawRoom], out: Path, index: int) -> PreparedRoom:
     )
 
 
-def _whole(path: Path, source: str) -> Room | None:
+def _finished(path: Path, source: str) -> Room | None:
     if not path.exists():
         return None
     try:

@@ -18,15 +18,15 @@ _MEMBER = re.compile(r"([A-Za-z]+)_(\d+)\.txt")
 
 @dataclass(frozen=True, kw_only=True)
 class RawRoom:
-    """The files of a room, none of them read yet.
+    """The raw files of a room, not read yet.
 
     Attributes:
-        root: Of the tree.
-        name: "Area_5/office_1".
+        root: Root of the tree.
+        name: Name of the room, such as "Area_5/office_1".
         members: Names of the annotation files; file i holds the object of id i.
-        categories: Index into ``CATEGORIES`` of each.
-        sizes: Of each [bytes].
-        remarks: What is odd about the names.
+        categories: Index into ``CATEGORIES`` of each file.
+        sizes: Size of each file [bytes].
+        remarks: Irregularities of the names.
     """
 
     root: Path
@@ -41,10 +41,10 @@ class RawRoom:
         return hashlib.sha256(repr((self.members, self.categories, self.sizes)).encode()).hexdigest()
 
     def read(self) -> Room:
-        """Read every member.
+        """Read all annotation files of the room.
 
         Raises:
-            RawDataError: One is malformed.
+            RawDataError: A file is malformed.
         """
         folder = self.root / self.name / MEMBERS
         read = [read_annotation(folder / member, f"{self.name}/{MEMBERS}/{member}") for member in self.members]
@@ -61,10 +61,10 @@ class RawRoom:
 
 
 def find_raw_rooms(root: Path) -> list[RawRoom]:
-    """Return the rooms of a tree in the order of their names; every text file's name is looked at.
+    """Return the rooms of a tree in the order of their names; the names of all annotation files are checked.
 
     Raises:
-        RawDataError: There are no rooms, a room has no annotations, or a file's name is no category and number.
+        RawDataError: There are no rooms, a room has no annotations, or the name of a file is malformed.
     """
     folders = [
         room
@@ -106,7 +106,7 @@ def _raw_room(root: Path, folder: Path) -> RawRoom:
 
 
 def _category(path: Path, inside: str) -> tuple[int, str]:
-    """Return the category that a file's name says, and a remark where that is not one of the thirteen."""
+    """Return the category in the name of a file, and a remark if the name is not one of the thirteen."""
     found = _MEMBER.fullmatch(path.name)
     if found is None:
         raise RawDataError(f"{path}: a member must be called CATEGORY_NUMBER.txt")

@@ -1,4 +1,4 @@
-"""Figures with where they come from."""
+"""Results as JSON with their provenance."""
 
 from typing import Any
 
@@ -7,5 +7,5 @@ from perception.runtime.provenance import command_line, git_commit, versions
 
 
 def recorded(values: dict[str, Any]) -> str:
-    """Return ``values`` as JSON, with command, commit and versions."""
+    """Return ``values`` as JSON, with the command, the commit and the package versions."""
     return json_text({**values, "command": command_line(), "git_commit": git_commit(), "versions": versions()})

@@ -1,4 +1,4 @@
-"""A labelled room, and its file."""
+"""A labelled room of S3DIS, and its file."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -13,12 +13,12 @@ from perception.geometry import Floats, require_shape
 from perception.runtime.records import RecordError, RecordFormat
 from perception.s3dis.data.categories import CATEGORIES
 
-ROOMS_NOTE = "rooms.json"  # where the rooms of a folder come from, beside them
+ROOMS_NOTE = "rooms.json"  # file beside the rooms of a folder with their provenance
 _NAME = re.compile(r"Area_(\d+)/[^/]+")
 
 
 class RoomError(RecordError):
-    """A file does not hold a whole room of this version."""
+    """A file does not hold a complete room of this version."""
 
 
 FORMAT = RecordFormat(kind="room", version=1, remedy="s3dis prepare makes rooms", error=RoomError)
@@ -26,16 +26,16 @@ FORMAT = RecordFormat(kind="room", version=1, remedy="s3dis prepare makes rooms"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Room:
-    """The points of a room of S3DIS and the truth about them.
+    """The points of a room of S3DIS, and the ground truth.
 
     Attributes:
-        name: "Area_5/office_1".
-        xyz: (N, 3) float32 building frame, z up [m].
-        rgb: (N, 3) uint8.
-        semantic: (N,) uint8 index into ``CATEGORIES``.
-        instance: (N,) int32 object of each point, 0 to P - 1: the raw tree leaves no point without.
-        source: Digest of the files that the room was read of.
-        remarks: What was odd about them.
+        name: Name of the room, such as "Area_5/office_1".
+        xyz: (N, 3) float32 points in the building frame, z up [m].
+        rgb: (N, 3) uint8 colours.
+        semantic: (N,) uint8 category of each point, an index into ``CATEGORIES``.
+        instance: (N,) int32 object of each point, 0 to P - 1; every point has one.
+        source: Digest of the raw files of the room.
+        remarks: Irregularities of the raw files.
     """
 
     name: str
@@ -69,18 +69,18 @@ class Room:
 
     @property
     def area(self) -> int:
-        """Return 1 to 6."""
+        """Number of the area, 1 to 6."""
         return area_of(self.name)
 
     def category_of_instance(self) -> NDArray[np.int64]:
-        """Return (P,) category of each object, that of its first point; 0 for an id that no point carries."""
+        """Return the (P,) category of each object, which is that of its first point; 0 for an id without points."""
         ids, first = np.unique(self.instance, return_index=True)
         categories = np.zeros(int(self.instance.max()) + 1, np.int64)
         categories[ids] = self.semantic[first]
         return categories
 
     def save(self, path: Path) -> None:
-        """Write a file in one piece, or not at all: 20 bytes a point, not compressed."""
+        """Write an uncompressed file of 20 bytes per point, atomically."""
         arrays: dict[str, Any] = {
             "name": np.str_(self.name),
             "source": np.str_(self.source),
@@ -97,7 +97,7 @@ class Room:
         """Read a room.
 
         Raises:
-            RoomError: The file is missing, cut off or of another version.
+            RoomError: The file is missing, damaged, or of another kind or version.
         """
         return FORMAT.load_arrays(path, cls._from_arrays)
 
@@ -115,7 +115,7 @@ class Room:
 
 
 def area_of(name: str) -> int:
-    """Return the area's number of a room's name."""
+    """Return the number of the area in the name of a room."""
     found = _NAME.fullmatch(name)
     if found is None:
         raise ValueError(f"name must be Area_NUMBER/ROOM, got {name!r}")
@@ -123,15 +123,19 @@ def area_of(name: str) -> int:
 
 
 def room_path(folder: Path, name: str) -> Path:
-    """Return where the room of that name is kept: ``folder/Area_5/office_1.npz``."""
+    """Return the path of the file of a room, such as ``folder/Area_5/office_1.npz``."""
     return folder / f"{name}.npz"
 
 
 def find_rooms(folder: Path, areas: Sequence[int] | None = None) -> list[Path]:
-    """Return the files of the prepared rooms of ``areas``, of all areas unless given, in order.
+    """Return the files of the prepared rooms, in order.
+
+    Args:
+        folder: Folder of the rooms.
+        areas: Numbers of the areas; all unless given.
 
     Raises:
-        FileNotFoundError: There are none.
+        FileNotFoundError: There are no such rooms.
     """
     found = sorted(folder.glob("Area_*/*.npz"))
     wanted = [path for path in found if areas is None or path.parent.name in {f"Area_{area}" for area in areas}]
@@ -142,7 +146,7 @@ def find_rooms(folder: Path, areas: Sequence[int] | None = None) -> list[Path]:
 
 
 def mean_sizes(rooms: Iterable[Room]) -> Floats:
-    """Return (C,) mean number of points of an object, by category; 0 for a category without any."""
+    """Return the (C,) mean number of points of an object of each category; 0 for a category without objects."""
     points, objects = np.zeros(len(CATEGORIES)), np.zeros(len(CATEGORIES))
     for room in rooms:
         points += np.bincount(room.semantic, minlength=len(CATEGORIES))

@@ -1,4 +1,4 @@
-"""What is kept of a training of a row: the verdicts on every test room."""
+"""Records of the verdicts on every test room of a trained row."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +15,13 @@ FORMAT = RecordFormat(kind="judged row", version=1, remedy="s3dis_table makes it
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JudgedRow:
-    """A training of a row, judged on every test room.
+    """The verdicts on a training of a row, on every test room.
 
     Attributes:
-        row: Of Table 1.
-        seed: Of the training.
-        names: Of the rooms.
-        matches: On each of them.
+        row: Row of Table 1.
+        seed: Seed of the training.
+        names: Names of the rooms.
+        matches: Verdicts on each room.
     """
 
     row: RowName
@@ -31,13 +31,13 @@ class JudgedRow:
 
 
 def save_judged(path: Path, judged: JudgedRow) -> None:
-    """Write the verdicts as JSON, in one piece."""
+    """Write the verdicts as JSON, atomically."""
     rooms = [{"name": name, **_plain(m)} for name, m in zip(judged.names, judged.matches, strict=True)]
     FORMAT.save_plain(path, {"row": judged.row, "seed": judged.seed, "rooms": rooms})
 
 
 def load_judged(path: Path) -> JudgedRow:
-    """Read the verdicts, to the bit.
+    """Read the verdicts; floating-point numbers are restored exactly.
 
     Raises:
         RecordError: The file is missing or damaged.

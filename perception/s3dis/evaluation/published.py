@@ -1,4 +1,4 @@
-"""The paper's Table 1 as printed, and rows of ours beside it.
+"""The paper's Table 1 as printed, and our rows beside it.
 
 "A Convolutional Neural Network for Point Cloud Instance Segmentation in Cluttered Scene Trained by Synthetic Data
 Without Color" (2020), section IV-A: trained on S3DIS without Area 5, tested on it.
@@ -12,7 +12,7 @@ import numpy as np
 from perception.s3dis.data.categories import SCORED
 from perception.s3dis.scoring import S3disScores
 
-SOURCE = "Table 1 of the paper (S3DIS, Area 5, AP at IoU .5)"
+SOURCE = "Table 1 of the paper (S3DIS, Area 5, AP at IoU 0.5)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,12 +20,12 @@ class PublishedRow:
     """A row of the paper's Table 1.
 
     Attributes:
-        method: As named there.
-        trunk: As named there.
-        colour: Trained with it.
-        new_loss: Trained with it ("NL").
-        mean: [%].
-        ap50: (12,) in the order of ``SCORED`` [%].
+        method: Name of the method in the table.
+        trunk: Name of the trunk in the table.
+        colour: Whether it was trained with colour.
+        new_loss: Whether it was trained with the new loss ("NL").
+        mean: Mean AP50 [%].
+        ap50: (12,) AP50 of each category in the order of ``SCORED`` [%].
     """
 
     method: str
@@ -36,7 +36,7 @@ class PublishedRow:
     ap50: tuple[float, ...]
 
     def name(self) -> str:
-        """Return what distinguishes the row."""
+        """Return the label of the row."""
         extras = [word for word, used in (("colour", self.colour), ("new loss", self.new_loss)) if used]
         return f"{self.method} ({', '.join([self.trunk, *extras])})"
 
@@ -78,7 +78,7 @@ TABLE_1 = (
 
 
 def table_rows(ours: Sequence[tuple[str, S3disScores]]) -> list[list[str]]:
-    """Return the cells of Table 1 [%]: its heading, its four rows, and a row for each (name, scores) of ours."""
+    """Return the cells of Table 1 [%]: a heading, the published rows, and a row for each (name, scores) of ours."""
     rows = [["AP50 [%]", "mean", *SCORED]]
     rows += [[row.name(), *(f"{value:.1f}" for value in (row.mean, *row.ap50))] for row in TABLE_1]
     rows += [[name, *(_percent(value) for value in (s.mean_ap50, *s.ap50.values()))] for name, s in ours]

@@ -1,4 +1,4 @@
-"""What an evaluation is of: the truth, the truth cut and merged again, or a trained network; and on which rooms."""
+"""The subject of an evaluation: a trained network, or the ground truth, and the rooms to evaluate it on."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,15 +20,15 @@ IDENTITIES: dict[Identity, Predict] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What is evaluated."""
+    """A prediction to evaluate, and the rooms."""
 
-    rooms: Path  # folder made by prepare
-    weights: Path | None = None  # of train: what to judge
-    predictions: Identity | None = None  # what to judge instead: what no network can do better
-    areas: tuple[int, ...] | None = None  # to evaluate on; 5 for weights, all for the truth unless given
-    threshold: float | None = None  # of a network's grouping; that of its training unless given
-    population: Population = "room"  # the room's points, each once; or those of all blocks, as SGPN's code counts
-    seed: int = 0  # of the share-out of a block's points among samples
+    rooms: Path  # folder of rooms made by prepare
+    weights: Path | None = None  # weights of a trained network to evaluate
+    predictions: Identity | None = None  # upper bound to evaluate instead of a network
+    areas: tuple[int, ...] | None = None  # areas to evaluate on; 5 for weights, all for the truth unless given
+    threshold: float | None = None  # threshold of the network's grouping; that of its training unless given
+    population: Population = "room"  # points that count: each point once, or the points of all blocks as in SGPN's code
+    seed: int = 0  # seed of the division of blocks into samples
 
     def __post_init__(self) -> None:
         if (self.weights is None) == (self.predictions is None):
@@ -36,7 +36,7 @@ class Subject:
 
     @property
     def name(self) -> str:
-        """Return what the row is called."""
+        """Return the name of the row in a table."""
         if self.weights is None:
             return str(self.predictions)
         return str(load_record(self.weights).get("row", self.weights.stem))
@@ -45,13 +45,13 @@ class Subject:
         """Return the files of the rooms.
 
         Raises:
-            FileNotFoundError: There are none.
+            FileNotFoundError: There are no rooms.
         """
         areas = self.areas or (AREAS if self.weights is None else (TEST_AREA,))
         return find_rooms(self.rooms, areas)
 
     def predict(self, device: str = "cpu") -> Predict:
-        """Return what predicts a room.
+        """Return the function that predicts a room.
 
         Raises:
             WeightsError: The weights are missing, damaged, or not of a training on rooms.
@@ -62,7 +62,7 @@ class Subject:
         return RoomPredictor.from_file(self.weights, device, self.threshold)
 
     def note(self) -> dict[str, Any]:
-        """Return what the scores are of."""
+        """Return a description of the subject, to store with its scores."""
         given = {"predictions": self.predictions, "population": self.population, "seed": self.seed}
         if self.weights is None:
             return given

@@ -1,4 +1,4 @@
-"""Table 1 trained and judged anew: four rows, several seeds, one budget, the same rooms."""
+"""Reproduction of Table 1: four rows, several seeds, one budget, the same rooms."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -29,15 +29,15 @@ Run = Callable[[Callable[[int], JudgedRow], Sequence[int]], Iterator[JudgedRow]]
 
 @dataclass(frozen=True, kw_only=True)
 class TableConfig:
-    """What the table depends on."""
+    """Settings of the table."""
 
-    rooms: Path  # folder made by prepare: Area 5 is judged, the others are trained on
-    steps: int  # of each training
-    seeds: int = 3  # trainings of each row, with seeds 0, 1, ...
-    budget: BudgetName = "small"  # small: rows differ in trunk, colour and loss alone
-    batch: int | None = None  # blocks a step; the budget's unless given
-    points: int | None = None  # of a sample of a block; the budget's unless given
-    held_out: int = 4  # training rooms kept to choose thresholds on
+    rooms: Path  # folder of rooms made by prepare; Area 5 is tested on, the others are trained on
+    steps: int  # number of steps of each training
+    seeds: int = 3  # number of trainings of each row, with seeds 0, 1, ...
+    budget: BudgetName = "small"  # small: rows differ only in trunk, colour and loss
+    batch: int | None = None  # number of blocks in a step; the budget's unless given
+    points: int | None = None  # number of points in a sample of a block; the budget's unless given
+    held_out: int = 4  # number of training rooms to choose thresholds on
 
     def __post_init__(self) -> None:
         for name in ("steps", "seeds"):
@@ -46,11 +46,11 @@ class TableConfig:
 
     @property
     def trainings(self) -> int:
-        """Return how many there are."""
+        """Number of trainings."""
         return len(ROWS) * self.seeds
 
     def training(self, row: RowName, seed: int, out: Path | None = None) -> RowTraining:
-        """Return a training of the table, kept in ``out``."""
+        """Return a training of the table, whose files are in the folder ``out``."""
         return RowTraining(
             rooms=self.rooms,
             row=row,
@@ -64,7 +64,7 @@ class TableConfig:
         )
 
     def note(self) -> dict[str, Any]:
-        """Return what may not change between runs into one folder; more seeds may be asked for."""
+        """Return the settings that must not change between runs into one folder; the number of seeds may."""
         names = ("steps", "budget", "batch", "points", "held_out")
         return {
             **{name: getattr(self, name) for name in names},
@@ -79,12 +79,12 @@ class TableRow:
     """A row of the table.
 
     Attributes:
-        row: Its name.
-        scores: Means over the trainings.
-        interval: 95 % of the mean AP50 over the draw of the rooms.
+        row: Name of the row.
+        scores: Scores as means over the trainings.
+        interval: 95 % interval of the mean AP50 over a bootstrap of the rooms.
         seeds: Mean AP50 of each training.
-        gain: Mean AP50 less that of the first row.
-        gain_interval: 95 % of it over the draw of the rooms, the same for both rows.
+        gain: Mean AP50 minus that of the first row.
+        gain_interval: 95 % interval of the gain over a bootstrap of the rooms, which are the same for both rows.
     """
 
     row: RowName
@@ -96,12 +96,12 @@ class TableRow:
 
 
 def judge_rows(config: TableConfig, out: Path, run: Run = map) -> Iterator[JudgedRow]:
-    """Train and judge every row with every seed, and yield each; what lies in ``out`` already is not done again.
+    """Train and judge every row with every seed, and yield each result; finished trainings in ``out`` are reused.
 
     Args:
-        config: What the table depends on.
-        out: Folder of trainings: checkpoints, weights, verdicts.
-        run: How to go over the trainings, one core each; after every four of them each row has one more.
+        config: Settings of the table.
+        out: Folder of the trainings: checkpoints, weights, verdicts.
+        run: Maps a function over the indices of the trainings, which are sorted by seed, then by row.
 
     Raises:
         FileNotFoundError: There are no rooms to train on, or none of Area 5.
@@ -110,12 +110,19 @@ def judge_rows(config: TableConfig, out: Path, run: Run = map) -> Iterator[Judge
     """
     find_rooms(config.rooms, (TEST_AREA,))
     config.training(ROWS[0], 0).files()
-    config = TableConfig(**{each.name: getattr(config, each.name) for each in fields(TableConfig)})  # not a script's
+    config = TableConfig(
+        **{each.name: getattr(config, each.name) for each in fields(TableConfig)}
+    )  # the plain class, where a script passes a subclass
     return iter(run(partial(_train_and_judge, config, out), range(config.trainings)))
 
 
 def tabulate(judged: Sequence[JudgedRow], rng: np.random.Generator, resamples: int = RESAMPLES) -> list[TableRow]:
-    """Return the rows of the table, in its order, with percentile intervals over a bootstrap of the rooms.
+    """Return the rows of the table in its order, with percentile intervals over a bootstrap of the rooms.
+
+    Args:
+        judged: Verdicts on every training.
+        rng: Source of the bootstrap.
+        resamples: Number of resamples.
 
     Raises:
         ValueError: A row has no training, or the trainings were not judged on the same rooms.
@@ -155,10 +162,10 @@ def interval_lines(rows: Sequence[TableRow]) -> list[list[str]]:
 
 
 def _train_and_judge(config: TableConfig, out: Path, index: int) -> JudgedRow:
-    """Do one training of the table, seed by seed."""
+    """Train and judge the row and seed of an index."""
     row, seed = ROWS[index % len(ROWS)], index // len(ROWS)
     folder = out / f"{row}-{seed}"
-    with suppress(RecordError):  # what is damaged is made again
+    with suppress(RecordError):  # without a complete record, the row is judged
         return load_judged(folder / SCORES)
     train_row(config.training(row, seed, folder))
     predict = RoomPredictor.from_file(folder / WEIGHTS)

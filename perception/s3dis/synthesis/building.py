@@ -1,4 +1,4 @@
-"""Synthetic furnished rooms in the on-disk format of S3DIS: a stand-in to prove the protocol on, no replacement."""
+"""Synthetic furnished rooms in the format of S3DIS, to test the protocol without the data set."""
 
 import os
 import shutil
@@ -18,18 +18,18 @@ from perception.s3dis.data.raw_tree import MEMBERS
 from perception.s3dis.synthesis.furnishing import KINDS, make_interior
 from perception.s3dis.synthesis.solids import Brush, Cloud
 
-COLOUR_NOISE = 7.0  # standard deviation, of 255
+COLOUR_NOISE = 7.0  # standard deviation of the noise on a colour, on a scale of 255
 Run = Callable[[Callable[[int], str], Sequence[int]], Iterator[str]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SynthesisConfig:
-    """What a room depends on besides its index.
+    """Settings of the synthesis.
 
     Attributes:
-        seed: Room i's own chance follows from this and i alone.
-        density: Points on a square metre of surface. S3DIS has 273 million on 6020 square metres of floor, as dense as
-            some 9000 here; at 1000 a block has about 5000.
+        seed: Seed; room i depends on the seed and i alone.
+        density: Number of points per square metre of surface. S3DIS has 273 million points on 6020 square metres of
+            floor, which corresponds to about 9000 here. At 1000, a block has about 5000 points.
         noise: Standard deviation of the measured coordinates [m].
     """
 
@@ -45,12 +45,12 @@ class SynthesisConfig:
 
 
 class ScannedObject(NamedTuple):
-    """An object as it is written.
+    """An object of a scanned room.
 
     Attributes:
-        name: "chair_2".
-        xyz: (N, 3) building frame [m].
-        rgb: (N, 3).
+        name: Category and number, such as "chair_2".
+        xyz: (N, 3) points in the building frame [m].
+        rgb: (N, 3) colours.
     """
 
     name: str
@@ -59,14 +59,14 @@ class ScannedObject(NamedTuple):
 
 
 def room_name(config: SynthesisConfig, index: int) -> str:
-    """Return "Area_1/office_1": the areas in turn, the kinds by chance."""
+    """Return the name of a room, such as "Area_1/office_1"; areas alternate, and the kind is random."""
     kinds = list(KINDS)
     kind = kinds[int(_rng(config, index).integers(len(kinds)))]
     return f"Area_{AREAS[index % len(AREAS)]}/{kind}_{index // len(AREAS) + 1}"
 
 
 def make_room(config: SynthesisConfig, index: int) -> list[ScannedObject]:
-    """Furnish and scan room ``index``: the same bits whatever was made before."""
+    """Return the objects of room ``index``, which depend on the settings and the index alone."""
     rng = _rng(config, index)
     kind = KINDS[list(KINDS)[int(rng.integers(len(KINDS)))]]
     items = make_interior(kind, Brush(config.density, rng))
@@ -84,10 +84,16 @@ def make_room(config: SynthesisConfig, index: int) -> list[ScannedObject]:
 
 
 def synthesize_rooms(config: SynthesisConfig, count: int, out: Path, run: Run = map) -> Iterator[str]:
-    """Write rooms 0 to ``count - 1`` and yield the name of each as it is there; what is there is not made again.
+    """Write rooms 0 to ``count - 1`` and yield the name of each; rooms that exist are kept.
+
+    Args:
+        config: Settings of the synthesis.
+        count: Number of rooms.
+        out: Root of the tree.
+        run: Maps a function over the indices of the rooms.
 
     Raises:
-        ValueError: Nothing is asked for.
+        ValueError: ``count`` is below 1.
     """
     if count < 1:
         raise ValueError(f"rooms must be at least 1, got {count}")
@@ -99,7 +105,7 @@ def _rng(config: SynthesisConfig, index: int) -> np.random.Generator:
 
 
 def _lit(cloud: Cloud, lamp: Floats, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return colours under a lamp, with an object's own brightness and noise on every point."""
+    """Return the colours of an object under a lamp, with a random brightness and noise on every point."""
     towards = lamp - cloud.points
     cosine = np.abs((towards * cloud.normals).sum(axis=1)) / np.maximum(np.linalg.norm(towards, axis=1), 1e-6)
     light = rng.uniform(0.9, 1.1) * (0.6 + 0.4 * cosine)
@@ -109,7 +115,7 @@ def _lit(cloud: Cloud, lamp: Floats, rng: np.random.Generator) -> NDArray[np.uin
 
 
 def _write_room(config: SynthesisConfig, out: Path, index: int) -> str:
-    """Write a room's folder in one piece, unless it is there."""
+    """Write the folder of a room, atomically, unless it exists."""
     name = room_name(config, index)
     folder = out / name
     if folder.exists():

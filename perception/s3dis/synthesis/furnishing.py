@@ -1,4 +1,4 @@
-"""Kinds of synthetic rooms, and how one is filled: furniture does not collide, chairs are pushed under tables."""
+"""Kinds of synthetic rooms and their furniture. Furniture does not collide; chairs are pushed under tables."""
 
 from dataclasses import dataclass
 
@@ -12,15 +12,15 @@ from perception.s3dis.synthesis.walls import build_walls
 
 @dataclass(frozen=True, kw_only=True)
 class RoomKind:
-    """What a room is drawn from.
+    """Distribution of the rooms of a kind.
 
     Attributes:
-        width: Least and greatest [m].
-        depth: The same.
-        on_walls: Chance of each thing along a metre of wall: door, window, board, bookcase, sofa, column.
-        desks: Least and greatest number, each with a chair.
-        seats: Chairs about a long table in the middle, least and greatest; none for (0, 0).
-        coffee_tables: Least and greatest number of round ones.
+        width: Least and greatest width [m].
+        depth: Least and greatest depth [m].
+        on_walls: Mean number per metre of wall of doors, windows, boards, bookcases, sofas and columns.
+        desks: Least and greatest number of desks, each with a chair.
+        seats: Least and greatest number of chairs at a long table in the middle; (0, 0) for no table.
+        coffee_tables: Least and greatest number of round tables.
     """
 
     width: tuple[float, float]
@@ -67,22 +67,22 @@ def make_interior(kind: RoomKind, brush: Brush) -> list[Item]:
 
 def _build_ceiling(interior: Interior) -> None:
     brush, (width, depth, height) = interior.brush, interior.size
-    rng, hidden = brush.rng, list[Hole]()
+    rng, covered = brush.rng, list[Hole]()
     for _ in range(rng.choice([0, 0, 1, 2])):
         y, thick, low = rng.uniform(0.5, depth - 0.8), rng.uniform(0.2, 0.35), rng.uniform(0.2, 0.4)
-        if any(y < d and c < y + thick for _, _, c, d in hidden):
+        if any(y < d and c < y + thick for _, _, c, d in covered):
             continue
-        hidden.append((0, width, y, y + thick))
+        covered.append((0, width, y, y + thick))
         beam = brush.box(
             [0, y, height - low], [width, thick, low], brush.shade_of(interior.paint, 10), ("-y", "+y", "-z")
         )
         interior.items.append(Item("beam", beam))
     colour = brush.shade_of((235, 235, 230), 8)
-    ceiling = brush.pierced([0, 0, height], [width, 0, 0], [0, depth, 0], colour, hidden)
+    ceiling = brush.pierced([0, 0, height], [width, 0, 0], [0, depth, 0], colour, covered)
     interior.items.append(Item("ceiling", ceiling))
     for _ in range(int(width * depth / 8) + 1):
         x, y = rng.uniform([0.4, 0.8], [width - 0.4, depth - 0.8])
-        if not any(c - 0.7 < y < d + 0.7 for _, _, c, d in hidden):
+        if not any(c - 0.7 < y < d + 0.7 for _, _, c, d in covered):
             interior.put("clutter", furniture.lamp(brush), x, y, height)
 
 

@@ -1,6 +1,6 @@
-"""A room while it is being furnished: what is in it, and where there is still room.
+"""A synthetic room while it is being furnished: its objects, and the free floor.
 
-The room's frame has its origin in a corner of the floor, x along the width, y along the depth, z up.
+The origin of the room frame is a corner of the floor, with x along the width, y along the depth and z up.
 """
 
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from perception.s3dis.synthesis.solids import Brush, Cloud, Colour, Hole, moved
 
 
 class Item(NamedTuple):
-    """An object of a category."""
+    """An object: a category and points."""
 
     category: str
     cloud: Cloud
@@ -21,12 +21,12 @@ class Interior:
     """A room being furnished.
 
     Attributes:
-        brush: Lays the points.
-        size: Width, depth, height [m].
+        brush: Sampler of the points.
+        size: Width, depth and height of the room [m].
         paint: Colour of the walls.
-        items: What is there, so far.
-        taken: Parts of the floor, as least x, greatest x, least y, greatest y [m].
-        covered: Those of them where the floor is not seen.
+        items: Objects placed so far.
+        taken: Occupied rectangles of the floor: least x, greatest x, least y, greatest y [m].
+        covered: Rectangles where the floor is not visible.
     """
 
     brush: Brush
@@ -37,18 +37,18 @@ class Interior:
     covered: list[Hole] = field(default_factory=list)
 
     def is_free(self, place: Hole) -> bool:
-        """Return whether a part of the floor lies in the room and is not taken."""
+        """Return whether a rectangle of the floor lies in the room and is not occupied."""
         x0, x1, y0, y1 = place
         inside = x0 >= 0.05 and y0 >= 0.05 and x1 <= self.size[0] - 0.05 and y1 <= self.size[1] - 0.05
         return inside and not self.is_taken(place)
 
     def is_taken(self, place: Hole) -> bool:
-        """Return whether a part of the floor overlaps with one that is taken."""
+        """Return whether a rectangle of the floor overlaps with an occupied one."""
         x0, x1, y0, y1 = place
         return any(x0 < b and a < x1 and y0 < d and c < y1 for a, b, c, d in self.taken)
 
     def find_place(self, length: float, depth: float) -> tuple[float, float] | None:
-        """Draw the middle of a free part of the floor and take it; None if 40 draws find none."""
+        """Draw the centre of a free rectangle of the floor and occupy it; None if 40 draws find none."""
         for _ in range(40):
             x, y = self.brush.rng.uniform([0, 0], self.size[:2])
             place = (x - length / 2, x + length / 2, y - depth / 2, y + depth / 2)
@@ -58,5 +58,14 @@ class Interior:
         return None
 
     def put(self, category: str, cloud: Cloud, x: float, y: float, z: float = 0.0, yaw: float = 0.0) -> None:
-        """Add an object that was made about the origin."""
+        """Add an object that was made at the origin.
+
+        Args:
+            category: Category of the object.
+            cloud: Points of the object about the origin.
+            x: Position along the width [m].
+            y: Position along the depth [m].
+            z: Height [m].
+            yaw: Rotation about z [rad].
+        """
         self.items.append(Item(category, moved(cloud, yaw, (x, y, z))))

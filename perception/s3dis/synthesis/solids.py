@@ -1,4 +1,4 @@
-"""Random points on the simple surfaces that synthetic furniture is built of."""
+"""Random points on the simple surfaces of synthetic furniture."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 
 from perception.geometry import Floats
 
-Hole = tuple[float, float, float, float]  # from, to along the first edge; from, to along the second [m]
+Hole = tuple[float, float, float, float]  # start and end along the first edge, start and end along the second [m]
 Colour = tuple[float, float, float]  # red, green, blue, 0 to 255
 SEEN = ("-x", "+x", "-y", "+y", "+z")  # faces of a box that a scanner in the room sees: all but the underside
 
@@ -17,9 +17,9 @@ class Cloud(NamedTuple):
     """Points on surfaces.
 
     Attributes:
-        points: (N, 3) [m].
-        normals: (N, 3) unit, either side.
-        colours: (N, 3) before light and noise, 0 to 255.
+        points: (N, 3) points [m].
+        normals: (N, 3) unit normals of either sign.
+        colours: (N, 3) colours without light and noise, 0 to 255.
     """
 
     points: Floats
@@ -29,24 +29,24 @@ class Cloud(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Brush:
-    """Lays points on surfaces.
+    """Sampler of points on surfaces.
 
     Attributes:
-        density: Points on a square metre.
-        rng: Of everything that is drawn.
+        density: Number of points per square metre.
+        rng: Source of the draws.
     """
 
     density: float
     rng: np.random.Generator
 
     def rectangle(self, origin: Sequence[float], u: Sequence[float], v: Sequence[float], colour: Colour) -> Cloud:
-        """Cover the rectangle of edges ``u`` and ``v``, perpendicular to each other [m]."""
+        """Sample the rectangle of the perpendicular edges ``u`` and ``v`` [m]."""
         return self.pierced(origin, u, v, colour, ())
 
     def pierced(
         self, origin: Sequence[float], u: Sequence[float], v: Sequence[float], colour: Colour, holes: Sequence[Hole]
     ) -> Cloud:
-        """Cover a rectangle but for its holes."""
+        """Sample a rectangle except for its holes."""
         a, b = np.array(u, float), np.array(v, float)
         lengths = np.linalg.norm([a, b], axis=1)
         place = self.rng.uniform(size=(self._count(lengths.prod()), 2))
@@ -58,7 +58,7 @@ class Brush:
         return _coloured(points, np.tile(normal, (len(points), 1)), colour)
 
     def box(self, low: Sequence[float], size: Sequence[float], colour: Colour, faces: Sequence[str] = SEEN) -> Cloud:
-        """Cover faces of a box whose least corner is ``low`` [m]."""
+        """Sample faces of a box whose least corner is ``low`` [m]."""
         corner, edges = np.array(low, float), np.diag(np.array(size, float))
         clouds = []
         for face in faces:
@@ -69,7 +69,7 @@ class Brush:
         return joined(clouds)
 
     def cylinder(self, base: Sequence[float], radius: float, height: float, colour: Colour, cap: bool = True) -> Cloud:
-        """Cover an upright cylinder's side, and its top."""
+        """Sample the side of an upright cylinder and, with ``cap``, its top."""
         count = self._count(2 * np.pi * radius * height)
         angle = self.rng.uniform(0, 2 * np.pi, count)
         around = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
@@ -81,7 +81,7 @@ class Brush:
         return joined(clouds)
 
     def disc(self, centre: Sequence[float], radius: float, colour: Colour) -> Cloud:
-        """Cover a level disc."""
+        """Sample a horizontal disc."""
         count = self._count(np.pi * radius**2)
         angle, distance = self.rng.uniform(0, 2 * np.pi, count), radius * np.sqrt(self.rng.uniform(size=count))
         points = np.array(centre, float) + np.column_stack(
@@ -90,7 +90,7 @@ class Brush:
         return _coloured(points, np.tile([0.0, 0.0, 1.0], (count, 1)), colour)
 
     def shade_of(self, colour: Colour, spread: float = 25.0) -> Colour:
-        """Draw a colour near another one, mostly lighter or darker, less of another hue."""
+        """Draw a colour close to another one, which differs more in brightness than in hue."""
         shift = self.rng.normal(0, spread) + self.rng.normal(0, 0.3 * spread, 3)
         red, green, blue = np.clip(np.array(colour) + shift, 5, 250).tolist()
         return red, green, blue
@@ -107,7 +107,7 @@ def joined(clouds: Sequence[Cloud]) -> Cloud:
 
 
 def moved(cloud: Cloud, yaw: float, to: Sequence[float]) -> Cloud:
-    """Turn a cloud about z by ``yaw`` [rad], then shift it [m]."""
+    """Return a cloud rotated about z by ``yaw`` [rad], then translated by ``to`` [m]."""
     c, s = np.cos(yaw), np.sin(yaw)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return Cloud(cloud.points @ turn.T + np.array(to, float), cloud.normals @ turn.T, cloud.colours)

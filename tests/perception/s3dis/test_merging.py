@@ -1,4 +1,4 @@
-"""BlockMerging on blocks made by hand, against plain loops, and each mended fault."""
+"""BlockMerging on blocks made by hand, against plain loops, and each repaired fault."""
 
 import runpy
 from pathlib import Path
@@ -119,7 +119,7 @@ def test_what_was_begun_at_two_ends_is_one_in_the_end_unlike_in_the_released_cod
     assert merged(row(100), [*ends, bridge, two]) == [0] * 60 + [1] * 40
 
 
-def test_evidence_weighs_by_the_lesser_side() -> None:
+def test_support_counts_the_smaller_side() -> None:
     """40 points speak for one object; of 60 and 30 that are told apart, 30 speak against."""
     ends = [sample(np.arange(60), 0), sample(np.arange(60, 160), 0)]
     bridge = sample(np.r_[np.arange(20, 60), np.arange(60, 120)], 0)
@@ -128,7 +128,7 @@ def test_evidence_weighs_by_the_lesser_side() -> None:
     assert merged(row(160), [*ends, bridge, two, two]) == [0] * 60 + [1] * 100
 
 
-def test_evidence_is_summed_before_the_next_pair_is_fused() -> None:
+def test_support_is_summed_before_the_next_pair_is_fused() -> None:
     """B and C are one, A and C might be; but A and B are known to be two, so A stays alone."""
     a, b, c = np.arange(40), np.arange(40, 80), np.arange(80, 120)
     samples = [

@@ -84,18 +84,18 @@ def test_what_python_cannot_read_is_an_error_at_the_same_line(
     [
         ("1 2 3 4 5", "line 3 holds not 6 numbers: '1 2 3 4 5'"),
         ("1 2 3 4 5 6 7", "line 3 holds not 6 numbers"),
-        ("1 2 x 4 5 6", "line 3 holds what is not a number"),
-        ("1 2 nan 4 5 6", "line 3 holds what is not a number"),
-        ("1 2 3. 4 5 6-", "line 3 holds what is not a number"),
-        ("1 2 1e 4 5 6", "line 3 holds what is not a number"),
-        ("1 2 - 4 5 6", "line 3 holds what is not a number"),
-        ("1 2 1.2.3 4 5 6", "line 3 holds what is not a number"),
+        ("1 2 x 4 5 6", "line 3 holds text that is not a number"),
+        ("1 2 nan 4 5 6", "line 3 holds text that is not a number"),
+        ("1 2 3. 4 5 6-", "line 3 holds text that is not a number"),
+        ("1 2 1e 4 5 6", "line 3 holds text that is not a number"),
+        ("1 2 - 4 5 6", "line 3 holds text that is not a number"),
+        ("1 2 1.2.3 4 5 6", "line 3 holds text that is not a number"),
         ("1 2 3 4 5 256", "line 3 holds a colour that is not a whole number from 0 to 255"),
         ("1 2 3 4 -5 6", "line 3 holds a colour that is not a whole number from 0 to 255"),
         ("1 2 3 4 5.5 6", "line 3 holds a colour that is not a whole number from 0 to 255"),
         ("1 2 2e6 4 5 6", "line 3 holds a coordinate beyond 1000000 m"),
         ("1 2 1e999 4 5 6", "line 3 holds a coordinate beyond 1000000 m"),
-        ("1 2 3 185\x00187 6", r"line 3 holds what is not a number: '1 2 3 185\\x00187 6'"),
+        ("1 2 3 185\x00187 6", r"line 3 holds text that is not a number: '1 2 3 185\\x00187 6'"),
     ],
 )
 @pytest.mark.parametrize("ending", ["", "\n", "\n1 2 3 4 5 6\n"])
@@ -111,7 +111,7 @@ def test_a_file_without_points_is_an_error(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damaged", "mended"),
+    ("damaged", "repaired"),
     [
         ("22.350 6.692 3.048 185\x00187 182", "22.350 6.692 3.048 185 187 182"),
         ("22.350 6.692 3.048 185\x10187 182", "22.350 6.692 3.048 185 187 182"),
@@ -119,17 +119,17 @@ def test_a_file_without_points_is_an_error(tmp_path: Path, text: str) -> None:
     ],
 )
 @pytest.mark.parametrize("name", KNOWN_FAULTS)
-def test_the_known_faults_are_mended_and_remarked_upon(tmp_path: Path, damaged: str, mended: str, name: str) -> None:
-    found, plain = read(tmp_path, LINES + damaged + "\n" + LINES, name), read(tmp_path, LINES + mended + "\n" + LINES)
+def test_the_known_faults_are_repaired_and_reported(tmp_path: Path, damaged: str, repaired: str, name: str) -> None:
+    found, plain = read(tmp_path, LINES + damaged + "\n" + LINES, name), read(tmp_path, LINES + repaired + "\n" + LINES)
     np.testing.assert_array_equal(found.xyz, plain.xyz)
     np.testing.assert_array_equal(found.rgb, plain.rgb)
-    assert found.remark == f"{name}, line 3: mended a damaged byte"
+    assert found.remark == f"{name}, line 3: repaired a damaged byte"
 
 
 def test_another_fault_in_a_file_with_a_known_one_is_still_an_error(tmp_path: Path) -> None:
     with pytest.raises(RawDataError, match="line 3 holds a colour"):
         read(tmp_path, LINES + "22.350 6.692 3.048 185187 182\n", KNOWN_FAULTS[0])
-    with pytest.raises(RawDataError, match="line 3 holds what is not a number"):
+    with pytest.raises(RawDataError, match="line 3 holds text that is not a number"):
         read(tmp_path, LINES + "1 2 3 185\x00187 182\n1 2\n", KNOWN_FAULTS[0])
 
 

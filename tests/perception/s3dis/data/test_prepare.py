@@ -36,7 +36,7 @@ def test_every_room_has_a_file_and_the_folder_a_note(tmp_path: Path) -> None:
     assert note["rooms"]["Area_2/hallway_1"] == {"points": 18, "objects": {"clutter": 1}}
     assert note["remarks"] == [
         "Area_2/hallway_1/Annotations/stairs_1.txt: stairs read as clutter",
-        "Area_5/hallway_6/Annotations/ceiling_1.txt, line 3: mended a damaged byte",
+        "Area_5/hallway_6/Annotations/ceiling_1.txt, line 3: repaired a damaged byte",
     ]
     assert {"versions", "git_commit", "command", "categories"} <= note.keys()
 

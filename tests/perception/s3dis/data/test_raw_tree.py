@@ -58,12 +58,12 @@ def test_the_known_second_copy_is_left_out_and_reported(tmp_path: Path) -> None:
     assert room.remarks == ("Area_5/office_36/Annotations/wall_3 (1).txt: left out, a second copy",)
 
 
-def test_the_known_fault_is_mended_by_its_place_in_the_tree(tmp_path: Path) -> None:
+def test_the_known_fault_is_repaired_by_its_place_in_the_tree(tmp_path: Path) -> None:
     text = LINES + "1.0 2.0 3.0 185\x00187 182\n"
     tree = write_tree(tmp_path, {"Area_5/hallway_6/ceiling_1": text})
     room = find_raw_rooms(tree)[0].read()
     assert room.rgb[2].tolist() == [185, 187, 182]
-    assert room.remarks == ("Area_5/hallway_6/Annotations/ceiling_1.txt, line 3: mended a damaged byte",)
+    assert room.remarks == ("Area_5/hallway_6/Annotations/ceiling_1.txt, line 3: repaired a damaged byte",)
     other = write_tree(tmp_path / "other", {"Area_5/hallway_5/ceiling_1": text})
     with pytest.raises(RawDataError, match=r"hallway_5/Annotations/ceiling_1\.txt, line 3 holds"):
         find_raw_rooms(other)[0].read()
