@@ -231,7 +231,7 @@ def _first_touch(
     outward = np.repeat(side * R[:, :, 1], len(grid), axis=0)
     flat = rays.reshape(-1, 3)
     face = mesh.ray.intersects_first(flat, -outward)
-    normal = mesh.face_normals[face]  # of the last face where there is no hit; masked below
+    normal = mesh.face_normals[face]  # a ray without a hit gets the last face, which is masked below
     cosine = np.einsum("ni,ni->n", normal, outward)
     with np.errstate(divide="ignore", invalid="ignore"):
         travel = np.einsum("ni,ni->n", normal, flat - mesh.triangles[face, 0]) / cosine

@@ -178,13 +178,12 @@ class MotionPlanner:
         assert first_failure is not None
         return first_failure
 
-    def clearing_lift(self, q: Floats, tool: Tool, *, floor: float | None = None) -> float:
-        """Return how far to lift [m] until the tool's lowest point clears a height [m] (the rim if None), or 0."""
+    def clearing_lift(self, q: Floats, tool: Tool) -> float:
+        """Return how far to lift [m] until the tool's lowest point clears the bin's rim; 0 if it does already."""
         T_world_tcp = self._ik.tcp_pose(q)
         points = np.vstack([np.zeros((1, 3)), tool.points_tcp])
         lowest = float(np.min(points @ T_world_tcp[2, :3])) + T_world_tcp[2, 3]
-        height = self._scene.rim if floor is None else floor
-        return max(0.0, height + self.settings.pile_clearance + 0.005 - float(lowest))
+        return max(0.0, self._scene.rim + self.settings.pile_clearance + 0.005 - float(lowest))
 
     def _line(self, q_from: Floats, T_world_tcp_to: Floats, speed: float | None) -> JointPath | MotionPlan:
         line = self._ik.line(q_from, T_world_tcp_to)
