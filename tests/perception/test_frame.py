@@ -91,6 +91,10 @@ def test_any_depth_is_finite_and_not_negative_afterwards(values: list[float], dt
             "[[100.0, 0.0, 0.0], [0.0, -100.0, 0.0], [0.0, 0.0, 1.0]]",
         ),
         (
+            {"K": np.diag([100.0, 0.0, 1.0])},
+            "K must be finite with positive focal lengths, got [[100.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]",
+        ),
+        (
             {"K": np.diag([100.0, 100.0, np.nan])},
             "K must be finite with positive focal lengths, got [[100.0, 0.0, 0.0], [0.0, 100.0, 0.0], [0.0, 0.0, nan]]",
         ),

@@ -198,6 +198,20 @@ def test_learned_segments_are_the_networks(
     assert np.isnan(nothing.ms["trials"])
 
 
+def test_a_method_is_cached_until_its_weights_change(
+    tmp_path: Path, truth_estimators: list[TruthEstimator], weights: Path
+) -> None:
+    path = tmp_path / "w.safetensors"
+    for suffix in (".safetensors", ".json"):
+        path.with_suffix(suffix).write_bytes(weights.with_suffix(suffix).read_bytes())
+    evaluation = config(perception="learned", weights=path)
+    first = evaluation.load()
+    assert evaluation.load() is first
+    torch.manual_seed(1)
+    save_network(path, GridNet(GridNetConfig(widths=(4, 4, 4, 4, 4), hidden=8, embedding=4)), {})
+    assert evaluation.load() is not first
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [

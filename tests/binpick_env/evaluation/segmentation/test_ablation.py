@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from binpick_env.config import CameraConfig
-from binpick_env.evaluation.segmentation import ablation
+from binpick_env.evaluation.segmentation import ablation, ablation_summary, ablation_table
 from binpick_env.evaluation.segmentation.ablation import BUDGET, ROWS, AblationConfig, run_ablation, trainings
 from binpick_env.evaluation.segmentation.ablation_summary import METRICS, AblationTable, RowScores, tabulate
-from binpick_env.evaluation.segmentation.ablation_table import segmentation_ablation_table
 from binpick_env.evaluation.segmentation.record import STAGES
 from binpick_env.evaluation.segmentation.summary import BANDS, SceneScore
 from binpick_env.scenes.clutter import ClutterStats
@@ -90,6 +89,23 @@ def test_rows_are_means_over_trainings() -> None:
     assert a.gain is None
     assert b.gain is not None
     assert b.gain["ap75"][0] == pytest.approx(1.0 - a.ap75)
+
+
+def test_commits_are_those_of_the_records_and_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ablation_summary, "git_commit", lambda: "def")
+    assert tabulate([row("a", [score([1])])], {}, np.random.default_rng(0), 5).git_commits == ["abc", "def"]
+
+
+def test_the_printed_table_has_the_minutes_and_the_distance_of_each_training() -> None:
+    scores = [score([1, 0])]
+    learned = row("learned", scores).with_training(scores, 7.5, {"7.5": 0.5}, 12.34)
+    radius = RowScores(key="floor", name="floor", paper=None).with_training(scores, 0.0015, {"0.0015": 0.4}, None)
+    config = {"part": "tee", "sensor": "good", "seed": 7, "steps": 10}
+    text = ablation_table.segmentation_ablation_table(tabulate([radius, learned], config, np.random.default_rng(0), 5))
+    half = f"{100 * ap_summary([scores[0].matches]).ap50:.1f}"
+    lines = [line.split() for line in text.splitlines()]
+    assert ["floor", "1.5", "mm", half, half, "–", "2"] in lines
+    assert ["learned", "5", "7.5", half, half, half, half, "1.5", "12.3", "2"] in lines
 
 
 def test_intervals_cover_trainings_and_scenes() -> None:
@@ -213,7 +229,7 @@ def test_every_row_is_trained_and_evaluated(done: tuple[Path, AblationTable, lis
         assert result.tried[0][f"{result.chosen[0]:g}"] == best
         assert set(result.intervals) == set(METRICS)
     assert table.rows[0].chosen[0] in ablation.RADII
-    text = segmentation_ablation_table(table)
+    text = ablation_table.segmentation_ablation_table(table)
     assert "part_a · sensor good · 2 scenes · seed 7 · 2 trainings of 2 steps" in text
     assert "hand-labelled real scenes" in " ".join(text.split())
     assert "50.5" in text
