@@ -66,11 +66,11 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
     | 13 | `height` | height of the part: 1 for the highest, 0 from 60 mm below it |
     | 14 | `wall` | distance of the fingertips from the nearest wall, 1 from 50 mm |
     | 15 | `clearance` | smallest clearance of the gripper: 0 at the margin, 1 from 5 mm more |
-    | 16 | `opening` | share of the possible jaw openings that are at most as wide |
+    | 16 | `opening` | share of the tried jaw openings that are at most as wide as this one |
     | 17 | `covered` | number of observed parts above this one: 0, 1/2 for one, 1 from two |
     | 18 | `buried` | share of the part's outline over which something higher was measured |
     | 19, 20 | `clearance_back`, `clearance_front` | clearance of each finger: 0 at the margin, 1 from 20 mm more; the closing direction points from back to front |
-    | 21 | `clearance_palm` | clearance of the rest of the gripper, likewise |
+    | 21 | `clearance_palm` | clearance of the rest of the gripper: 0 at the margin, 1 from 20 mm more |
     | 22 | `width` | distance between the pads at contact, divided by the stroke |
     | 23 | `gap` | distance between the pads during the approach, divided by the stroke |
     | 24 | `top` | height of the part's highest point above the floor, divided by twice the bin's depth |

@@ -42,15 +42,15 @@ def _share(meaning: str) -> Feature:
 
 
 FEATURES: dict[str, Feature] = {
-    "x": _signed("midpoint between the fingertips at contact, divided by half the bin's length"),
-    "y": _signed("likewise, divided by half the bin's width"),
-    "z": _share("height of that midpoint above the floor, divided by twice the bin's depth"),
-    "approach_x": _signed("approach direction, bin frame"),
-    "approach_y": _signed("likewise"),
-    "approach_z": _signed("likewise; -1 is straight down"),
-    "closing_x": _signed("closing direction, bin frame; signed so that x is not negative, since the jaw is symmetric"),
-    "closing_y": _signed("likewise; not negative if x is 0"),
-    "closing_z": _signed("likewise"),
+    "x": _signed("x of the fingertips' midpoint at contact, bin frame, divided by half the bin's length"),
+    "y": _signed("y of the fingertips' midpoint at contact, bin frame, divided by half the bin's width"),
+    "z": _share("height of the fingertips' midpoint above the floor, divided by twice the bin's depth"),
+    "approach_x": _signed("x of the unit approach direction, bin frame"),
+    "approach_y": _signed("y of the unit approach direction, bin frame"),
+    "approach_z": _signed("z of the unit approach direction, bin frame; -1 is straight down"),
+    "closing_x": _signed("x of the unit closing direction, bin frame; not negative, since the jaw is symmetric"),
+    "closing_y": _signed("y of the unit closing direction, bin frame; not negative if x is 0"),
+    "closing_z": _signed("z of the unit closing direction, bin frame"),
     "quality": _share("quality of the grasp on the isolated part"),
     "vertical": _share("tilt of the approach, by its cosine: 1 straight down, 0 at the largest tilt allowed"),
     "score": _share("perception's confidence in the part's pose"),
@@ -58,12 +58,16 @@ FEATURES: dict[str, Feature] = {
     "height": _share("height of the part: 1 for the highest, 0 from 60 mm below it"),
     "wall": _share("distance of the fingertips from the nearest wall: 1 from 50 mm"),
     "clearance": _share("smallest clearance of the gripper: 0 at the margin, 1 from 5 mm more"),
-    "opening": _share("share of the possible jaw openings that are at most as wide as this one"),
+    "opening": _share("share of the tried jaw openings that are at most as wide as this one"),
     "covered": _share("number of observed parts above this one: 0, 1/2 for one, 1 from two"),
     "buried": _share("share of the part's outline over which something higher was measured"),
-    "clearance_back": _share("clearance of the finger that the closing direction points away from: 1 from 20 mm"),
-    "clearance_front": _share("clearance of the finger that the closing direction points to; likewise"),
-    "clearance_palm": _share("clearance of the rest of the gripper; likewise"),
+    "clearance_back": _share(
+        "clearance of the finger behind the closing direction: 0 at the margin, 1 from 20 mm more"
+    ),
+    "clearance_front": _share(
+        "clearance of the finger ahead of the closing direction: 0 at the margin, 1 from 20 mm more"
+    ),
+    "clearance_palm": _share("clearance of the rest of the gripper: 0 at the margin, 1 from 20 mm more"),
     "width": _share("distance between the pads at contact, divided by the stroke"),
     "gap": _share("distance between the pads during the approach, divided by the stroke"),
     "top": _share("height of the part's highest point above the floor, divided by twice the bin's depth"),
