@@ -48,7 +48,7 @@ def test_a_peer_gets_the_threads(fake: Peer) -> None:
     assert got.poses[0][0][0, 0, 3] == 21
 
 
-def test_a_peer_that_fails_says_why(fake: Peer) -> None:
+def test_a_failed_peer_is_an_error_with_its_reason(fake: Peer) -> None:
     failing = replace(fake, setting="fail")
     with pytest.raises(RuntimeError, match="Fake failed with exit code 1: ArithmeticError: no pose today"):
         run_peer(failing, Path(sys.executable), model_points(TEE), TEE.d_max, [case()], threads=1)
@@ -56,7 +56,7 @@ def test_a_peer_that_fails_says_why(fake: Peer) -> None:
         run_peer(fake, Path(sys.executable), model_points(TEE), TEE.d_max, [], threads=1)
 
 
-def test_a_peer_that_cannot_run_says_how_to_get_it(fake: Peer) -> None:
+def test_a_peer_that_cannot_run_is_left_out_with_its_remedy(fake: Peer) -> None:
     python = Path(sys.executable)
     assert fault(fake, python) is None
     remedy = "python3 -m venv runs/peers/fake && runs/peers/fake/bin/pip install numpy"
@@ -71,7 +71,7 @@ def test_a_peer_that_cannot_run_says_how_to_get_it(fake: Peer) -> None:
     assert all(text.endswith(remedy) for text in (gone, bare))
 
 
-def test_a_family_that_is_left_out_is_said_once(fake: Peer, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_family_that_is_left_out_is_warned_of_once(fake: Peer, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         assert available([*PEERS, fake], {"fake": Path(sys.executable)}) == [fake]
     said = [record.getMessage().split()[0] for record in caplog.records]

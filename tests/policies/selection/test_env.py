@@ -68,7 +68,7 @@ def test_the_default_is_to_see_with_the_learned_pipeline() -> None:
     assert inspect.signature(GraspSelectionEnv).parameters["perception"].default == "learned"
 
 
-def test_the_docstring_tells_of_every_argument_and_feature() -> None:
+def test_the_docstring_describes_every_argument_and_feature() -> None:
     text = GraspSelectionEnv.__doc__ or ""
     arguments = text[text.index("## Arguments") :]
     assert all(f"`{name}`" in arguments for name in inspect.signature(GraspSelectionEnv).parameters)

@@ -174,7 +174,7 @@ def test_hindsights_bins_are_kept_with_their_tries(tmp_path: Path) -> None:
     assert len(made) == 1
 
 
-def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
+def test_selectors_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
     own = evaluated(tmp_path, 2, ("random",))["random"]
     with pytest.raises(ValueError, match="a heuristic is needed to compare with: one of random, highest"):
         compare_selectors({"ours": own})

@@ -48,7 +48,7 @@ def test_what_empty_rows_hold_says_nothing(config: SelectorNetConfig) -> None:
     assert network(rows, mask)[0][~mask].max() < -1e7
 
 
-def test_an_empty_offer_has_a_finite_value() -> None:
+def test_no_candidate_has_a_finite_value() -> None:
     rows, mask = observations()
     logits, value = SelectorNet()(rows, torch.zeros_like(mask))
     assert torch.isfinite(value).all()

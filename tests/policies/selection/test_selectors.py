@@ -94,7 +94,7 @@ def test_selectors_have_names() -> None:
         load_selector("best")
 
 
-def test_candidates_without_their_last_row_tell_why() -> None:
+def test_candidates_without_their_last_row_have_a_reason() -> None:
     mask = np.arange(ROWS) < 2
     one = GraspCandidates(rows=np.ones((ROWS, len(FEATURES)), np.float32), mask=mask, reason=None).without(0)
     assert (one.valid, one.reason, bool(one)) == ([1], None, True)
@@ -210,7 +210,7 @@ def test_no_candidate_is_an_abstention_for_its_reason(env: GraspSelectionEnv, mo
     assert result.termination is Termination.ABSTAINED
 
 
-def test_a_selector_that_chooses_an_empty_row_is_told(env: GraspSelectionEnv) -> None:
+def test_a_selector_that_chooses_an_empty_row_is_refused(env: GraspSelectionEnv) -> None:
     class Stubborn:
         def select(self, observation: Observation, rng: np.random.Generator) -> int:
             return ROWS - 1
