@@ -40,7 +40,7 @@ class SceneArguments(PartArguments):
     backend: Backend = "raster"
 
     def options(self) -> CellOptions:
-        """Return the options of the cell, as above."""
+        """Return the options of the cell; see `PartArguments.options`."""
         return _options(self, SceneArguments)
 
 
@@ -53,7 +53,7 @@ class CellArguments(SceneArguments):
     hand_eye_mm: float = 0.0  # error of the camera's reported position, standard deviation per axis [mm]
 
     def options(self) -> CellOptions:
-        """Return the options of the cell, as above."""
+        """Return the options of the cell; see `PartArguments.options`."""
         return _options(self, CellArguments)
 
 

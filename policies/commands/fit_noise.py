@@ -12,7 +12,7 @@ from policies.commands.command_line import exit_code, parse
 class Arguments(CellArguments):
     """Fit the errors of the learned perception of one part and sensor: BinPickSelect-v0's pose_noise="learned"."""
 
-    bins: int = 100  # number of bins, each of which is looked at once
+    bins: int = 100  # number of bins, each observed once
     seed: int = 0  # seed of all bins; bin i is drawn from (seed, i)
     min_parts: int = 2  # smallest number of parts in a bin; small numbers stand for bins that are nearly empty
     max_parts: int = 30  # largest number of parts in a bin

@@ -37,7 +37,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: there is no command {name!r}; {hint}`binpick` lists them all", file=sys.stderr)
         return 2
     show_status()
-    return int(import_module(modules[typed]).main(options))
+    try:
+        return int(import_module(modules[typed]).main(options))
+    except KeyboardInterrupt:  # before the command's own work, which says how to resume it
+        print("\nstopped", file=sys.stderr)
+        return 130
 
 
 def overview() -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from policies.commands import calibrate_poses
 from policies.commands import main as entry
 from policies.commands.command_line import exit_code
 from policies.commands.main import main
@@ -112,6 +113,17 @@ def test_hyphens_and_underscores_are_alike(tmp_path: Path, capsys: pytest.Captur
     for count in ("--min-parts", "--min_parts"):
         assert main(["generate-scenes", count, "5", "--max-parts", "4", "--out", lost]) == 2
         assert "num_parts must be (smallest, largest)" in capsys.readouterr().err
+
+
+def test_ctrl_c_while_a_command_starts_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(calibrate_poses, "run", interrupted)
+    assert main(["calibrate-poses", "--folders", "anywhere"]) == 130
+    assert capsys.readouterr().err == "\nstopped\n"
 
 
 def test_an_unknown_option_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
