@@ -126,7 +126,7 @@ class BlockMerger:
         self._count(given, sample.categories[grouped][rows], sample.confidences[grouped][rows])
         for memory, place in ((self._labels, point_idx[rows]), (self._owner, layer[rows])):
             free = memory[place] < 0
-            memory[place[free][::-1]] = given[free][::-1]  # of equal places NumPy keeps the last, we want the first
+            memory[place[free][::-1]] = given[free][::-1]  # reversed, so that the first of equal places is kept
 
     def instances(self, min_sizes: Floats | None = None) -> list[Instance]:
         """Return the objects, best confidence first.

@@ -8,7 +8,7 @@ from perception.frame import Frame, Workspace
 from perception.geometry import Floats, camera_matrix, invert_transform, make_transform, rotation_about
 
 SIZE = (320, 240)
-K = camera_matrix(520.0, *SIZE)
+K = camera_matrix(520.0, *SIZE) + np.array([[0.0, 0.0, 7.0], [0.0, 15.0, -5.0], [0.0, 0.0, 0.0]])  # no symmetry
 INNER = np.array([0.36, 0.26, 0.12])
 TILTED = make_transform(rotation_about((1, 0, 0), 0.12)) @ make_transform(rotation_about((0, 1, 0), -0.09))
 

@@ -294,7 +294,7 @@ def test_organised_points_by_hand() -> None:
     depth = np.zeros_like(frame.depth)
     depth[100, 250] = 0.5
     (point,) = organised_points(replace(frame, depth=depth), np.array([(250, 100)]))
-    np.testing.assert_allclose(point, [0.5 * (250 - K[0, 2]) / 520, 0.5 * (100 - K[1, 2]) / 520, 0.5])
+    np.testing.assert_allclose(point, [0.5 * (250 - K[0, 2]) / 520, 0.5 * (100 - K[1, 2]) / 535, 0.5])
 
 
 # --- nonsense --------------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
-"""Walls of a synthetic room, with what is in them and before them.
+"""Walls of a synthetic room with their doors, windows and furniture.
 
-A wall's frame has x along it, y into the room, z up.
+In the frame of a wall, x points along the wall, y into the room and z up.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +17,12 @@ ALONG = ("door", "window", "board", "bookcase", "sofa", "column")
 
 
 def build_walls(interior: Interior, chances: Sequence[float]) -> None:
-    """Add four walls; ``chances`` are the mean numbers of each of ``ALONG`` on a metre of wall. One has a door."""
+    """Add four walls, one of them with a door.
+
+    Args:
+        interior: Room to add the walls to.
+        chances: Mean number per metre of wall of each of ``ALONG``.
+    """
     width, depth, height = interior.size
     corners = [(0.0, 0.0, 0.0), (width, 0.0, np.pi / 2), (width, depth, np.pi), (0.0, depth, -np.pi / 2)]
     for side, (x, y, yaw) in enumerate(corners):
@@ -37,7 +42,7 @@ def build_walls(interior: Interior, chances: Sequence[float]) -> None:
 
 
 def _slots(chances: Sequence[float], length: float, rng: np.random.Generator, door: bool) -> list[tuple[str, float]]:
-    """Return things and where their middles are along a wall [m], far enough from each other."""
+    """Return objects of ``ALONG`` and the positions of their centres along a wall [m], without overlap."""
     wanted = [thing for thing, mean in zip(ALONG, chances, strict=True) for _ in range(rng.poisson(mean * length))]
     wanted = [wanted[k] for k in rng.permutation(len(wanted))]
     found: list[tuple[str, float]] = []
@@ -52,15 +57,15 @@ def _slots(chances: Sequence[float], length: float, rng: np.random.Generator, do
 
 
 class _Made(NamedTuple):
-    """Something at a wall, in the wall's frame.
+    """An object at a wall, in the frame of the wall.
 
     Attributes:
-        cloud: Its points.
-        hole: The part of the wall that it hides.
-        half: Of its width [m].
-        at: Its middle along the wall [m].
-        reach: How far it stands into the room [m]; 0 for what hangs or lies in the wall.
-        extras: What stands on it.
+        cloud: Points of the object.
+        hole: Rectangle of the wall that the object covers.
+        half: Half the width of the object [m].
+        at: Position of its centre along the wall [m].
+        reach: Depth of the object into the room [m]; 0 for an object that hangs on or lies in the wall.
+        extras: Objects that stand on it.
     """
 
     cloud: Cloud
@@ -72,7 +77,7 @@ class _Made(NamedTuple):
 
 
 def _blocks(interior: Interior, thing: str, made: _Made, x: float, y: float, yaw: float) -> bool:
-    """Take the floor that something at a wall needs; return whether it was taken before."""
+    """Occupy the floor in front of an object at a wall; return whether it was occupied before."""
     reach = made.reach if made.reach else (0.9 if thing == "door" else 0.0)
     if not reach:
         return False

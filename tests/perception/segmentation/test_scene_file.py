@@ -20,11 +20,11 @@ PARTS = 4
 def facts(points: int = 200, seed: int = 0) -> dict[str, Any]:
     """Return the fields of a random scene; point 0 has no tangent."""
     rng = np.random.default_rng(seed)
-    K = camera_matrix(2400.0, 1280, 960)
+    K = camera_matrix(2400.0, 1280, 960) + np.array([[0.0, 0.0, 9.0], [0.0, 80.0, -6.0], [0.0, 0.0, 0.0]])
     flat = np.sort(rng.choice(1280 * 960, size=points, replace=False))
     pixels = np.column_stack([flat % 1280, flat // 1280])
     z = rng.uniform(0.7, 0.95, points).astype(np.float32).astype(np.float64)
-    rays = np.column_stack([(pixels - K[:2, 2]) / 2400.0, np.ones(points)])
+    rays = np.column_stack([(pixels - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones(points)])
     tangents = rng.normal(size=(points, 3))
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     tangents[:1] = 0.0
