@@ -188,6 +188,16 @@ def test_closing_finds_what_protrudes_before_the_faces():
     assert 0.1 < contacts.area[0] < 0.5
 
 
+def test_patches_that_do_not_lie_opposite_are_no_grasp():
+    """Two lobes that overlap by 4 mm only: pads along them would turn the part between them."""
+    lobes = [((-0.015, -0.001, 0.0), (0.015, 0.015, 0.022)), ((-0.015, -0.015, 0.018), (0.015, 0.001, 0.04))]
+    mesh = trimesh.boolean.union([trimesh.creation.box(bounds=bounds) for bounds in lobes], engine="manifold")
+    grasps = sample_grasps(PartModel.from_mesh("zed", mesh), FEW)
+    assert len(grasps) > 0
+    contacts = close_pads(mesh, grasps.T_part_grasp, grasps.width)
+    assert np.all(contacts.offset <= 0.4 * np.maximum(contacts.width, 0.01) + 1e-6)
+
+
 def test_pads_that_meet_nothing_have_no_width():
     cube = trimesh.creation.box(extents=(0.01,) * 3)
     contacts = close_pads(cube, make_transform(None, (0.5, 0, 0))[None], np.ones(1))

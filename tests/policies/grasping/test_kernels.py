@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from perception.geometry import Floats, camera_matrix, make_transform, random_rotation, rotation_about
-from policies.grasping._kernels import raise_cells, raise_cells_from_depth
+from policies.grasping._kernels import fill_solid, raise_cells, raise_cells_from_depth
 from tests.reference import height_twin as twin
 
 ORIGIN = np.array([-0.05, -0.03])
@@ -13,6 +14,20 @@ ORIGIN = np.array([-0.05, -0.03])
 def low() -> Floats:
     """Return a map of 25 x 15 cells that are as low as can be."""
     return np.full((25, 15), -np.inf)
+
+
+def test_a_solid_is_filled_voxel_by_voxel() -> None:
+    rng = np.random.default_rng(2)
+    half, shape, voxel = np.array([0.011, 0.007, 0.015]), (41, 43, 45), 0.001
+    origin = np.array([-0.02, -0.021, -0.022]) + 0.0003
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
+    for _ in range(3):
+        T = make_transform(random_rotation(rng), rng.uniform(-0.002, 0.002, 3))
+        solid = trimesh.creation.box(2 * half, T)
+        occupied = np.zeros(shape, np.bool_)
+        fill_solid(np.ascontiguousarray(solid.triangles), origin, voxel, occupied)
+        local = (origin + voxel * index - T[:3, 3]) @ T[:3, :3]
+        np.testing.assert_array_equal(occupied, np.all(np.abs(local) < half, axis=-1))
 
 
 @pytest.mark.parametrize("count", [0, 1, 255, 256, 257, 1000])

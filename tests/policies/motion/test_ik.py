@@ -1,5 +1,7 @@
 """Inverse kinematics against MuJoCo's own forward kinematics."""
 
+from dataclasses import replace
+
 import mink
 import mujoco
 import numpy as np
@@ -110,6 +112,14 @@ def test_unreachable_target_is_a_value_with_its_residual(solver):
     assert not result.ok
     assert 0.8 < result.position_error < 1.5
     assert np.all(np.isfinite(result.q))
+
+
+def test_of_two_postures_off_the_target_the_nearer_one_is_better(solver):
+    far = solver.solve(make_transform(DOWN, (2.0, 0.0, 0.3)), HOME)
+    assert not far.converged
+    for error in ("position_error", "rotation_error"):
+        nearer = replace(far, **{error: getattr(far, error) - 0.01})
+        assert solver._rank(nearer, HOME) < solver._rank(far, HOME)
 
 
 def test_a_wound_up_seed_is_unwound(solver):

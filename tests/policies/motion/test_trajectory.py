@@ -399,6 +399,18 @@ def test_line_plan_goes_straight_at_the_speed_asked_for(planner, ik, q_grasp):
     np.testing.assert_allclose(ik.tcp_pose(fast.q[-1])[:3, 3], up[:3, 3], atol=4e-4)
 
 
+def test_a_line_keeps_its_clearance(planner, ik, scene):
+    """A line that ends 1 mm over the table is refused, but for a planner that may come as near as that."""
+    down = make_transform(DOWN, (0.2, -0.6, 0.02))
+    q = ik.solve(down, HOME, opening=0.0).q
+    down[2, 3] += 0.001 - scene.contacts(q, opening=0.0, clearance=MAX_CLEARANCE)[0].distance
+    q_above = ik.solve(make_transform(translation=(0, 0, 0.05)) @ down, HOME, opening=0.0).q
+    assert planner.plan_line(q_above, down, Tool(opening=0.0)).failure is PlanFailure.COLLISION
+    assert (
+        MotionPlanner(scene, ik, PlannerSettings(line_clearance=0.0002)).plan_line(q_above, down, Tool(opening=0.0)).ok
+    )
+
+
 def test_a_jaw_pressed_softly_into_the_floor_can_leave(planner, ik, scene):
     q = ik.solve(make_transform(DOWN, (0.5, 0.0, 0.023)), HOME).q
     assert -0.004 < scene.contacts(q)[0].distance < 0
