@@ -12,9 +12,9 @@ from binpick_env.jobs.text_tables import columns
 
 _WIDE = 112  # width of the table [characters]
 _NOTE = (
-    "All rows are judged on the same scenes, with the true segments but for the last. Recognition counts the pose of "
+    "All rows are evaluated on the same scenes, all but the last with true segments. Recognition counts the pose of "
     "the three groups of a scene nearest to a whole part, verified or not; without segments the trials are the same "
-    "parts, found if any delivered pose is right for them. Intervals are 95 %: Wilson for recognition and precision, "
+    "parts, found if any verified pose is correct for them. Intervals are 95 %: Wilson for recognition and precision, "
     "bootstrap over scenes for recall and for differences."
 )
 

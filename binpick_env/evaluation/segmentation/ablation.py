@@ -128,7 +128,7 @@ class AblationConfig:
             folder = getattr(self, name)
             if (made if folder is None else _seed_of(folder, self.scenes.part)) == self.scenes.seed:
                 raise ValueError(
-                    f"the {name} scenes are those of seed {self.scenes.seed}, which are judged; choose another seed"
+                    f"the {name} scenes are those of seed {self.scenes.seed}, which are evaluated; choose another seed"
                 )
         seeds = [
             made if folder is None else _seed_of(folder, self.scenes.part)

@@ -137,7 +137,7 @@ def require_unseen(config: EvaluationConfig) -> None:
             if same_part and source["seed"] == config.scenes.seed:
                 raise ValueError(
                     f"{config.method.weights} has been {use.replace('_', ' ')} scenes of seed {config.scenes.seed}; "
-                    "judge it with another seed"
+                    "evaluate it with another seed"
                 )
 
 

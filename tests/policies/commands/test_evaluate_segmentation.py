@@ -69,7 +69,7 @@ def test_evaluate_segmentation_prints_the_ablation(tmp_path: Path) -> None:
         (["--method", "euclidean", "--part", "teapot"], "part must be one of part_a"),
         (["--method", "euclidean", "--count", "0"], "count and workers must be at least 1, got 0 and 2"),
         (["--method", "euclidean", "--radius", "0"], "radius must be positive, got 0.0"),
-        (["--ablation", "--seed", "0"], "the training scenes are those of seed 0, which are judged; choose another"),
+        (["--ablation", "--seed", "0"], "the training scenes are those of seed 0, which are evaluated; choose another"),
     ],
 )
 def test_evaluate_segmentation_says_a_users_mistake_in_one_line(

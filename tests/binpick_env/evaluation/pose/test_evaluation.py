@@ -290,7 +290,7 @@ def test_scenes_of_the_training_are_refused(
 ) -> None:
     mine = config(perception="learned", weights=weights)
     for seed, use in ((5, "trained on"), (6, "validated on")):
-        with pytest.raises(ValueError, match=rf"has been {use} scenes of seed {seed}; judge it with another seed"):
+        with pytest.raises(ValueError, match=rf"has been {use} scenes of seed {seed}; evaluate it with another seed"):
             next(evaluate_poses(replace(mine, scenes=replace(SCENES, seed=seed)), 1, tmp_path / "out"))
     assert not (tmp_path / "out").exists()
     assert next(evaluate_poses(mine, 1, tmp_path / "out")) == 0  # seed 31 was another part's

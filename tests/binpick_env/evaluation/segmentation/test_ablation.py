@@ -175,8 +175,8 @@ def test_successive_rows_differ_in_one_setting() -> None:
     [
         ({"steps": 0}, "steps must be at least 1, got 0"),
         ({"training_seeds": 0}, "training_seeds must be at least 1, got 0"),
-        ({"scenes": replace(SCENES, seed=0)}, "the training scenes are those of seed 0, which are judged; choose"),
-        ({"scenes": replace(SCENES, seed=1)}, "the validation scenes are those of seed 1, which are judged; choose"),
+        ({"scenes": replace(SCENES, seed=0)}, "the training scenes are those of seed 0, which are evaluated; choose"),
+        ({"scenes": replace(SCENES, seed=1)}, "the validation scenes are those of seed 1, which are evaluated; choose"),
     ],
 )
 def test_nonsense_is_refused(changes: dict[str, Any], text: str) -> None:
@@ -186,7 +186,7 @@ def test_nonsense_is_refused(changes: dict[str, Any], text: str) -> None:
 
 def test_scenes_of_the_evaluation_are_refused_for_training(tmp_path: Path) -> None:
     (tmp_path / "scenes.json").write_text(json.dumps({"part": "part_a", "seed": 7}))
-    with pytest.raises(ValueError, match="the training scenes are those of seed 7, which are judged"):
+    with pytest.raises(ValueError, match="the training scenes are those of seed 7, which are evaluated"):
         tiny(training=tmp_path)
     (tmp_path / "scenes.json").write_text(json.dumps({"part": "tee", "seed": 7}))
     tiny(training=tmp_path, validation=tmp_path / "nowhere", scenes=replace(SCENES, seed=1))

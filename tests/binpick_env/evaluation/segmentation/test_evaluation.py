@@ -199,6 +199,8 @@ def test_scenes_of_the_training_are_refused(use: str, tmp_path: Path) -> None:
     path = tmp_path / "seen.safetensors"
     save_network(path, tiny_grid(), {use: [{"part": "bracket", "seed": 7}, {"part": "tee", "seed": 8}]})
     seen = EvaluationConfig(scenes=replace(SCENES, seed=8), method=MethodConfig(weights=path))
-    with pytest.raises(ValueError, match=rf"has been {use.replace('_', ' ')} scenes of seed 8; judge it with another"):
+    with pytest.raises(
+        ValueError, match=rf"has been {use.replace('_', ' ')} scenes of seed 8; evaluate it with another"
+    ):
         list(evaluate_scenes(seen, 1, tmp_path / "out"))
     assert not (tmp_path / "out").exists()
