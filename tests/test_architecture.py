@@ -111,3 +111,10 @@ def test_one_registration_is_all_that_points_against_the_imports() -> None:
 def test_test_files_are_small(path: Path) -> None:
     lines = path.read_text().count("\n")
     assert lines <= 400, f"{lines} lines: this file tests two ideas"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_nothing_imports_a_command(path: Path) -> None:
+    if "scripts" in path.parts or "commands" in path.parts:
+        return
+    assert not re.search(r"^\s*(import|from) policies\.commands\b", path.read_text(), flags=re.MULTILINE)

@@ -15,7 +15,7 @@ PACKAGES = [
     str(path.parent.relative_to(ROOT)).replace("/", ".")
     for name in ("perception", "binpick_env", "policies")
     for path in sorted((ROOT / name).rglob("__init__.py"))
-    if path.parent.name != "peers"  # programs that run in other environments, and import nothing of ours
+    if path.parent.name not in ("peers", "commands")  # programs, which nobody imports
 ]
 SOURCES = sorted(path for name in ("perception", "binpick_env", "policies") for path in (ROOT / name).rglob("*.py"))
 MOST_PARAMETERS = 6
@@ -55,6 +55,10 @@ def test_every_public_name_exists_and_is_documented(name: str) -> None:
     assert len(set(package.__all__)) == len(package.__all__) > 0
     for public in package.__all__:
         value = getattr(package, public)
+        submodule = ROOT / name.replace(".", "/") / public
+        if not inspect.ismodule(value):  # a name that is a submodule's, too, would be one or the other
+            assert not submodule.is_dir()
+            assert not submodule.with_suffix(".py").exists()
         if inspect.isclass(value) or inspect.isroutine(value) or inspect.ismodule(value):
             assert (inspect.getdoc(value) or "").strip(), f"{name}.{public} has no docstring"
     assert set(package.__all__) <= set(dir(package))
@@ -102,3 +106,8 @@ def test_arguments_are_described_so_that_they_are_understood_without_their_names
                         unclear.append(f"{path.relative_to(ROOT)} {node.name}: {argument}: {text}")
     assert count > 1000
     assert unclear == []
+
+
+def test_programs_offer_nothing_to_import() -> None:
+    for name in ("policies.commands", "policies.benchmarks.peers"):
+        assert getattr(importlib.import_module(name), "__all__", []) == []

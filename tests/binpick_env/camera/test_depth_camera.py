@@ -1,7 +1,5 @@
-"""The depth camera: geometry against closed forms and MuJoCo's single ray, backends against each other, faults."""
+"""The depth camera: geometry against closed forms and MuJoCo's single ray, backends against each other."""
 
-import importlib
-from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
@@ -9,68 +7,20 @@ import numpy as np
 import pytest
 import trimesh
 
-from binpick_env.camera import egl
-from binpick_env.camera.depth_camera import Capture, DepthCamera, default_pose
+from binpick_env.camera.depth_camera import Capture, default_pose
 from binpick_env.camera.egl import NEAR_CLIP, near_plane
-from binpick_env.camera.raster import corner_normals, is_closed
 from binpick_env.camera.shading import Light
 from binpick_env.camera.view import View
-from binpick_env.config import BinConfig, CameraConfig
-from perception.frame import Workspace
 from perception.geometry import (
     Floats,
     deproject_depth,
     invert_transform,
     make_transform,
     project_points,
-    rotation_about,
     transform_points,
 )
-from tests.binpick_env.camera.camera_scene import BOX, CAMERA, MESH, SPHERE, Scene, build, random_poses
-
-BACKENDS = ["rays", "raster", "egl"]
-WORKSPACE = BinConfig().workspace()
-
-
-def egl_works() -> bool:
-    try:
-        egl._gl_context(16, 16).free()
-    except RuntimeError:
-        return False
-    return True
-
-
-@pytest.fixture(scope="module", params=BACKENDS)
-def backend(request: pytest.FixtureRequest) -> str:
-    if request.param == "egl" and not egl_works():
-        pytest.skip("no EGL driver on this machine (libegl1, libgl1-mesa-dri)")
-    return request.param
-
-
-@pytest.fixture(scope="module")
-def pile() -> Scene:
-    return build(random_poses(8, WORKSPACE, seed=1))
-
-
-def tilted(distance: float = 0.85) -> Floats:
-    """Return a camera pose that looks at the bin askew, rolled, and a little beside its centre."""
-    turn = rotation_about((1, 0, 0), 0.3) @ rotation_about((0, 1, 0), -0.2) @ rotation_about((0, 0, 1), 0.7)
-    R_bin_cam = turn @ np.diag([1.0, -1.0, -1.0])
-    return WORKSPACE.T_world_bin @ make_transform(R_bin_cam, (0.01, -0.02, 0.05) - distance * R_bin_cam[:, 2])
-
-
-def make_camera(
-    scene: Scene, config: CameraConfig = CAMERA, pose: Floats | None = None, threads: int | None = 1
-) -> DepthCamera:
-    return DepthCamera(scene.model, config, scene.workspace, scene.instance_of_geom, pose, threads=threads)
-
-
-def look(scene: Scene, backend: str = "rays", pose: Floats | None = None, **more: object) -> Capture:
-    camera = make_camera(scene, replace(CAMERA, backend=backend), pose)
-    capture = camera.capture(scene.data, np.random.default_rng(0), **{"sensor": "none", **more})
-    camera.close()
-    return capture
-
+from tests.binpick_env.camera.camera_scene import BOX, CAMERA, SPHERE, Scene, build, random_poses
+from tests.binpick_env.camera.camera_views import WORKSPACE, egl_works, look, make_camera, tilted
 
 # --- geometry in closed form
 
@@ -298,157 +248,3 @@ def test_a_bin_out_of_view_gives_an_empty_frame(backend: str, away: Floats, pile
     assert not capture.frame.valid.any()
     assert np.all(capture.instance_ids == -1)
     assert np.all(capture.frame.grey == 0)
-
-
-# --- normals and grey
-
-
-def test_a_faceted_cylinder_is_shaded_round_and_keeps_its_rim(backend: str) -> None:
-    cylinder = trimesh.creation.cylinder(radius=0.02, height=0.08, sections=32)
-    lying, standing = rotation_about((1, 0, 0), np.pi / 2), np.eye(3)
-    T = [make_transform(R, (x, 0, 0.04)) for R, x in ((lying, -0.05), (standing, 0.05))]
-    capture = look(build(WORKSPACE.T_world_bin @ np.stack(T), cylinder), backend)
-    points = deproject_depth(capture.frame.K, capture.depth_true)
-    round_ = points[..., 0] + 0.05
-    middle = (capture.instance_ids == 0) & (np.abs(points[..., 1]) < 0.03) & (np.abs(round_) < 0.018)
-    wanted = np.arcsin(round_[middle] / 0.02)
-    found = np.arctan2(capture.normals[middle][:, 0], -capture.normals[middle][:, 2])
-    assert np.max(np.abs(found - wanted)) < np.deg2rad(1.0)  # a flat facet is off by up to 5.6 degrees
-    cap = (capture.instance_ids == 1) & (capture.depth_true < 0.8201 + 1e-4)
-    assert cap.sum() > 500
-    assert np.mean(capture.normals[cap][:, 2] < -0.9999) > 0.98
-
-
-def test_normals_are_unit_and_face_the_eye(pile: Scene, backend: str) -> None:
-    capture = look(pile, backend)
-    seen = capture.depth_true > 0
-    np.testing.assert_allclose(np.linalg.norm(capture.normals[seen], axis=1), 1.0, atol=1e-5)
-    rays = deproject_depth(capture.frame.K, capture.depth_true)
-    assert np.mean(np.sum(rays * capture.normals, axis=-1)[seen] < 0) > 0.999
-    assert np.all(capture.normals[~seen] == 0)
-
-
-def test_corner_normals_of_a_box_are_its_faces_normals() -> None:
-    box = trimesh.creation.box((1, 2, 3))
-    normals = corner_normals(np.asarray(box.vertices), np.asarray(box.faces, np.int32))
-    np.testing.assert_allclose(normals, np.repeat(box.face_normals[:, None], 3, axis=1), atol=1e-6)
-    assert is_closed(np.asarray(box.faces, np.int32))
-    assert not is_closed(np.asarray(box.faces[:-1], np.int32))
-
-
-def plate_on_plate(light: Light) -> np.ndarray:
-    """Return a grey row over the rim, at column 32, of a plate that lies 4 mm thick on another."""
-    depth = np.full((64, 64), 0.9, np.float32)
-    depth[:, :32] -= 0.004
-    normals = np.zeros((64, 64, 3), np.float32)
-    normals[..., 2] = -1
-    K = np.array([[2400.0, 0, 32], [0, 2400.0, 32], [0, 0, 1]])
-    return light.shade(depth, normals, np.zeros((64, 64), np.int64), K)[32].astype(int)
-
-
-def test_occlusion_shows_the_rim_of_a_plate_on_a_plate() -> None:
-    plain, occluded = plate_on_plate(Light(occlusion=0)), plate_on_plate(Light())
-    assert abs(plain[31] - plain[32]) <= 2
-    assert occluded[31] - occluded[32] > 25
-    ramp = np.diff(occluded[32:50])
-    assert np.all((ramp >= 0) & (ramp <= 6))  # fades without a second edge
-    np.testing.assert_array_equal(occluded[:32], plain[:32])
-    np.testing.assert_array_equal(occluded[50:], plain[50:])
-
-
-def test_grey_of_a_plane_is_the_formula() -> None:
-    light = Light(to_light=(0, 0, -2), ambient=0.1, diffuse=0.6, part_albedo=0.5, falloff=1.0)
-    assert plate_on_plate(light)[60] == round(255 * 0.5 * 0.7)
-    assert plate_on_plate(light)[5] == round(255 * 0.5 * 0.7 * (0.9 / 0.896) ** 2)
-    assert plate_on_plate(replace(light, to_light=(0, 0, 1)))[60] == round(255 * 0.5 * 0.1)
-
-
-# --- faults
-
-
-def test_a_pose_that_is_not_finite_names_its_body(backend: str) -> None:
-    scene = build(random_poses(3, WORKSPACE, seed=1))
-    scene.data.geom_xpos[scene.model.geom("part_1/visual").id, 0] = np.nan
-    with pytest.raises(ValueError, match="pose of body 'part_1' is not finite"):
-        look(scene, backend)
-
-
-def _flat(scene: Scene) -> DepthCamera:
-    return DepthCamera(scene.model, CAMERA, scene.workspace, np.zeros(3, np.int64))
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (_flat, r"instance_of_geom must be \(ngeom,\) = \(\d+,\), got \(3,\)"),
-        (lambda s: make_camera(s, pose=np.eye(3)), r"T_world_cam must be \(4, 4\), got \(3, 3\)"),
-        (lambda s: make_camera(s, pose=np.full((4, 4), np.nan)), "T_world_cam must be finite"),
-        (lambda s: make_camera(s, threads=0), "threads must be at least 1, got 0"),
-        (
-            lambda s: make_camera(s).capture(build(np.zeros((0, 4, 4))).data, np.random.default_rng(0)),
-            r"data has \d+ geo",
-        ),
-        (lambda s: look(s, sensor="nice"), "sensor must be one of none, good, harsh or a SensorModel, got 'nice'"),
-        (lambda _: Light(to_light=(0, 0, 0)), "to_light must be a finite vector that is not zero"),
-        (lambda _: Light(ambient=1.5), r"ambient must be in \[0, 1\], got 1.5"),
-        (lambda _: Light(radius=0), "reference and radius must be positive"),
-        (lambda _: Light(background=256), "background must be in 0 to 255, got 256"),
-        (lambda _: CameraConfig(backend="cuda"), "backend must be one of rays, egl, raster, got 'cuda'"),
-    ],
-)
-def test_mistakes_are_named(pile: Scene, call: Callable[[Scene], object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        call(pile)
-
-
-def test_the_models_first_face_is_drawn() -> None:
-    """A plate whose first two triangles are its top."""
-    plate = trimesh.creation.box((0.2, 0.1, 0.02))
-    order = np.argsort(-plate.face_normals[:, 2], kind="stable")
-    spec = mujoco.MjSpec()
-    faces = plate.faces[order].ravel().astype(np.int32)
-    spec.add_mesh(name="plate", uservert=plate.vertices.ravel(), userface=faces)
-    place = WORKSPACE.T_world_bin[:3, 3] + [0, 0, 0.05]
-    spec.worldbody.add_geom(type=MESH, meshname="plate", pos=place, group=2)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    camera = DepthCamera(model, replace(CAMERA, backend="raster"), WORKSPACE, np.zeros(1, np.int64), threads=1)
-    capture = camera.capture(data, np.random.default_rng(0), "none")
-    assert np.count_nonzero(capture.depth_true) > 5000
-    np.testing.assert_array_equal(capture.instance_ids, np.where(capture.depth_true > 0, 0, -1))
-
-
-def test_raster_refuses_what_it_cannot_draw() -> None:
-    scene = build(np.zeros((0, 4, 4)), extra=[{"name": "ball", "type": SPHERE, "size": [0.1, 0, 0]}])
-    with pytest.raises(ValueError, match=r"'raster' draws meshes and boxes, but there are ball \(sphere\); use 'rays'"):
-        look(scene, "raster")
-
-
-def test_egl_without_a_driver_names_the_alternative(pile: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(_: str) -> None:
-        raise AttributeError("'NoneType' object has no attribute 'eglQueryString'")
-
-    monkeypatch.setattr(importlib, "import_module", broken)
-    with pytest.raises(RuntimeError, match=r"needs a working EGL driver .* 'rays' and 'raster' need no GL"):
-        look(pile, "egl")
-
-
-def test_two_egl_cameras_take_turns(pile: Scene) -> None:
-    if not egl_works():
-        pytest.skip("no EGL driver on this machine (libegl1, libgl1-mesa-dri)")
-    empty = build(np.zeros((0, 4, 4)))
-    config = replace(CAMERA, backend="egl")
-    cameras = {True: make_camera(pile, config), False: make_camera(empty, config)}
-    for full in (True, False, True):
-        scene = pile if full else empty
-        capture = cameras[full].capture(scene.data, np.random.default_rng(0))
-        assert (capture.instance_ids >= 0).any() == full
-    for camera in cameras.values():
-        camera.close()
-        camera.close()
-
-
-def test_workspace_of_another_pose_moves_the_camera() -> None:
-    shifted = Workspace(T_world_bin=make_transform(translation=(1.0, 2.0, 3.0)), inner_size=np.array([0.3, 0.2, 0.1]))
-    np.testing.assert_allclose(default_pose(shifted, 0.5)[:3, 3], (1.0, 2.0, 3.5))

@@ -1,0 +1,11 @@
+from .evaluation.config import EvaluationConfig as EvaluationConfig
+from .evaluation.jobs import Job as Job
+from .evaluation.jobs import run_job as run_job
+from .grasping.outcomes import Abstention as Abstention
+from .grasping.outcomes import GraspOutcome as GraspOutcome
+from .grasping.outcomes import PickResult as PickResult
+from .picking.episode import BinResult as BinResult
+from .picking.episode import Picker as Picker
+from .picking.episode import run_bin as run_bin
+from .picking.scripted import ScriptedPicker as ScriptedPicker
+from .selection.env import GraspSelectionEnv as GraspSelectionEnv
