@@ -9,6 +9,7 @@ from policies.evaluation.config import EvaluationConfig, bin_seed
 from policies.evaluation.frame_record import FrameRecord, record_frame
 from policies.evaluation.listeners import BinListener, Decision, ListenerGroup
 from policies.evaluation.records import BinRecord
+from policies.evaluation.undelivered import LossWatch, UndeliveredPart, left_parts
 from policies.grasping.outcomes import PickResult
 from policies.picking.episode import run_bin
 
@@ -61,6 +62,7 @@ def _evaluate(
         result = run_bin(cell.env, recorder, bin_seed(config.seed, index), on_pick)
         after = group.bin_ended()
         wall = time.perf_counter() - recorder.start - recorder.comparing - group.seconds
+        undelivered = recorder.undelivered()
     return BinRecord.from_result(
         result,
         recorder.pictures,
@@ -73,6 +75,7 @@ def _evaluate(
         git_commit=git_commit(),
         before=recorder.before,
         after=after,
+        undelivered=undelivered,
     )
 
 
@@ -88,6 +91,7 @@ class _Recorder:
         self.render = 0.0  # wall clock that frames took to render [s]
         self.comparing = 0.0  # wall clock spent on the comparison with the ground truth [s]
         self._frame_id = -1
+        self._losses = LossWatch()
         self.start = self.settled = time.perf_counter()
 
     def reset(self) -> None:
@@ -103,7 +107,9 @@ class _Recorder:
         frame_record = self._record_frame()
         # Kept now: a pick ends with the next frame, once the arm is back home.
         labelled_capture, observed = env.labelled_capture, env.observed
+        self._losses.before(labelled_capture)
         result = self._picker.pick()
+        self._losses.after(env.events, len(self.pictures))
         self._count_frame()
         decision = Decision(
             number=len(self.pictures),
@@ -114,6 +120,12 @@ class _Recorder:
         )
         self.pictures.append(self._listeners.after_decision(decision))
         return result
+
+    def undelivered(self) -> tuple[UndeliveredPart, ...]:
+        """Return the parts that were lost, and those that were left when the bin had ended."""
+        env = self._env
+        last = record_frame(env.frame_id, env.labelled_capture, env.observed)
+        return (*self._losses.lost, *left_parts(env, self._picker, last))
 
     def _record_frame(self) -> FrameRecord:
         """Compare the present frame with the ground truth, each frame only once."""

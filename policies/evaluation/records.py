@@ -11,6 +11,7 @@ from binpick_env.scenes.clutter import ClutterStats
 from perception.runtime.records import RecordError, RecordFormat
 from policies.evaluation.failure_attribution import FailureStage, attribute_failure
 from policies.evaluation.frame_record import CandidateRecord, FrameRecord
+from policies.evaluation.undelivered import UndeliveredPart
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.episode import BinResult, Termination
 
@@ -110,6 +111,7 @@ class BinRecord:
         before: File name of the picture of the settled bin; "" if there is none.
         after: File name of the picture of the bin's end; "" if there is none.
         lost: Number of parts that left play without being delivered.
+        undelivered: The parts that were lost or left in the bin; None in records of earlier versions.
     """
 
     config_hash: str
@@ -128,6 +130,7 @@ class BinRecord:
     before: str = ""
     after: str = ""
     lost: int = 0
+    undelivered: tuple[UndeliveredPart, ...] | None = None
 
     @property
     def attempts(self) -> tuple[PickRecord, ...]:
@@ -201,8 +204,13 @@ def _bin(values: dict[str, Any]) -> BinRecord:
             "clutter": ClutterStats(**clutter),
             "picks": tuple(_pick(pick) for pick in values["picks"]),
             "frames": tuple(FrameRecord.from_plain(frame) for frame in values["frames"]),
+            "undelivered": _undelivered(values.get("undelivered")),
         }
     )
+
+
+def _undelivered(values: list[dict[str, Any]] | None) -> tuple[UndeliveredPart, ...] | None:
+    return None if values is None else tuple(UndeliveredPart.from_plain(part) for part in values)
 
 
 def _pick(values: dict[str, Any]) -> PickRecord:
