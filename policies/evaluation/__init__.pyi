@@ -9,6 +9,11 @@ from .cell import Cell as Cell
 from .cell import CellCache as CellCache
 from .cell import make_env as make_env
 from .cell import scripted_cell as scripted_cell
+from .comparison import Comparison as Comparison
+from .comparison import ComparisonError as ComparisonError
+from .comparison import compare_runs as compare_runs
+from .comparison import load_run as load_run
+from .comparison import save_comparison as save_comparison
 from .config import EvaluationConfig as EvaluationConfig
 from .config import bin_seed as bin_seed
 from .failure_attribution import FailureStage as FailureStage
@@ -40,5 +45,7 @@ from .summary import Summary as Summary
 from .summary import save_summary as save_summary
 from .summary import summarise as summarise
 from .tables import result_table as result_table
+from .undelivered import LeftReason as LeftReason
+from .undelivered import UndeliveredPart as UndeliveredPart
 from .watched_env import StepListener as StepListener
 from .watched_env import WatchedEnv as WatchedEnv

@@ -1,7 +1,17 @@
-"""The conditions under which bins were picked, for the line above the numbers."""
+"""The conditions under which bins were picked, for the line above the numbers, and what they do not measure."""
 
 from collections.abc import Mapping
 from typing import Any
+
+GIVEN = "given"  # shown in place of a number that was not measured
+_SEGMENTS = ("ap", "ap50", "ap75")
+_POSES = ("candidate_pose_accuracy", "candidate_precision", "candidate_recall", "pose_error")
+
+
+def given_numbers(perception: str) -> frozenset[str]:
+    """Return the keys of results.json that a perception mode does not measure, because the ground truth is given."""
+    given = {"oracle": (*_SEGMENTS, *_POSES), "gt_masks": _SEGMENTS}
+    return frozenset(given.get(perception, ()))
 
 
 def conditions(config: Mapping[str, Any]) -> tuple[str, ...]:

@@ -59,7 +59,7 @@ def summarise_frames(records: Sequence[BinRecord], rng: np.random.Generator) -> 
         The intervals of an AP take some seconds for 500 frames.
     """
     frames = [frame for record in records for frame in record.frames]
-    counts = np.array([_counts(record.frames) for record in records]).reshape(-1, len(RATES), 2)
+    counts = np.array([frame_counts(record.frames) for record in records]).reshape(-1, len(RATES), 2)
     sums = counts.sum(axis=0).tolist()
     ap, intervals = _segmentation(records, rng)
     intervals |= {name: _rate_interval(counts[:, k], rng) for k, name in enumerate(RATES)}
@@ -99,8 +99,8 @@ def _rate_interval(counts: Floats, rng: np.random.Generator) -> Interval | None:
     return min(low, drawn[0]), max(high, drawn[1])
 
 
-def _counts(frames: Iterable[FrameRecord]) -> list[tuple[int, int]]:
-    """Return numerator and denominator of each of `RATES`."""
+def frame_counts(frames: Iterable[FrameRecord]) -> list[tuple[int, int]]:
+    """Return numerator and denominator of each of `RATES` over some frames."""
     frames = list(frames)
     candidates = [candidate for frame in frames for candidate in frame.candidates]
     return [
@@ -114,18 +114,51 @@ def _segmentation(
     records: Sequence[BinRecord], rng: np.random.Generator
 ) -> tuple[dict[str, float | None], dict[str, Interval | None]]:
     """Return the APs of the segments and their intervals over bins."""
-    matches, of_bin = [], []
-    for b, record in enumerate(records):
-        for frame in record.frames:
-            if frame.segments is not None:
-                matches.append(_matches(frame, frame.segments))
-                of_bin.append(b)
+    matches, of_bin = _segment_matches(records)
     ap = _ap(matches)
     if ap["ap"] is None or len(records) < 2:
         return ap, dict.fromkeys(APS)
     weights = bootstrap_weights(len(records), rng, AP_RESAMPLES)[:, of_bin]
     drawn = weighted_ap(matches, weights)
     return ap, {name: percentile_interval(drawn[:, k]) for k, name in enumerate(APS)}
+
+
+def paired_ap(
+    first: Sequence[BinRecord], second: Sequence[BinRecord], rng: np.random.Generator
+) -> tuple[float, float, float, float]:
+    """Return the segments' APs in two evaluations of the same bins, and the interval of their difference.
+
+    Args:
+        first: Records of the first evaluation.
+        second: Records of the same bins in the second evaluation, in the same order.
+        rng: Random numbers for the bootstrap; each bin is drawn with both of its records.
+
+    Returns:
+        First AP, second AP, and the 95 % interval of second minus first, percentile bootstrap over bins; NaN where
+        nothing is segmented, and the interval's ends for a single bin.
+    """
+    weights = bootstrap_weights(len(first), rng, AP_RESAMPLES)
+    values, drawn = [], []
+    for records in (first, second):
+        matches, of_bin = _segment_matches(records)
+        ap = _ap(matches)["ap"]
+        values.append(np.nan if ap is None else ap)
+        if not np.isnan(values[-1]) and len(first) > 1:
+            drawn.append(weighted_ap(matches, weights[:, of_bin])[:, 0])
+    if len(drawn) < 2:
+        return values[0], values[1], np.nan, np.nan
+    return values[0], values[1], *percentile_interval(drawn[1] - drawn[0])
+
+
+def _segment_matches(records: Sequence[BinRecord]) -> tuple[list[SceneMatches], list[int]]:
+    """Return the matched segments of every segmented frame, and the position of its bin in ``records``."""
+    matches, of_bin = [], []
+    for b, record in enumerate(records):
+        for frame in record.frames:
+            if frame.segments is not None:
+                matches.append(_matches(frame, frame.segments))
+                of_bin.append(b)
+    return matches, of_bin
 
 
 def _matches(frame: FrameRecord, table: SegmentTable) -> SceneMatches:

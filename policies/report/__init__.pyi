@@ -1,5 +1,7 @@
 from .budget_report import budget_table as budget_table
 from .budget_report import write_budget_report as write_budget_report
+from .comparison_report import comparison_table as comparison_table
+from .comparison_report import write_comparison_report as write_comparison_report
 from .conclusion import conclude as conclude
 from .conclusion import conclude_budget as conclude_budget
 from .media import BinMedia as BinMedia
