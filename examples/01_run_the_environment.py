@@ -11,7 +11,9 @@ def main(num_parts: int = 6, steps: int = 10) -> int:
     env = gym.make("BinPick-v0", part="tee", num_parts=num_parts, perception="oracle")
     observation, info = env.reset(seed=0)
     candidates = observation["candidates"][observation["candidate_mask"] == 1]
-    print(f"{len(candidates)} of {info['total']} parts are offered, each with {len(FEATURES)} numbers: {FEATURES[:4]} ...")
+    print(
+        f"{len(candidates)} of {info['total']} parts are offered, each with {len(FEATURES)} numbers: {FEATURES[:4]} ..."
+    )
     home = observation["joint_pos"]
     for _ in range(steps):  # hold the arm where it is, with the jaw open
         observation, _, terminated, truncated, info = env.step([*home, 0.0])

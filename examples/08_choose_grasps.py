@@ -18,7 +18,9 @@ def main(num_parts: int = 4, decisions: int = 3) -> list[str]:
         action = int(np.argmax(np.where(mask == 1, score, -np.inf)))
         observation, reward, terminated, truncated, info = env.step(action)
         outcomes.append(info["outcome"])
-        print(f"row {action}: {info['outcome']}, reward {reward:+.1f}, {info['delivered']} of {info['total']} delivered")
+        print(
+            f"row {action}: {info['outcome']}, reward {reward:+.1f}, {info['delivered']} of {info['total']} delivered"
+        )
         if terminated or truncated:
             break
     env.close()

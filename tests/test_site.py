@@ -1,0 +1,86 @@
+"""README, site and examples: every snippet runs, every command line parses, the built pages load nothing from a network."""
+
+import re
+import shlex
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def blocks(path: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", path.read_text(), flags=re.DOTALL)
+
+
+def command_lines(path: Path) -> list[list[str]]:
+    """Return the words of every line of a page's shell blocks that calls binpick."""
+    found = []
+    for block in blocks(path, "sh"):
+        for line in block.replace("\\\n", " ").splitlines():
+            words = shlex.split(line, comments=True)
+            if words and Path(words[0]).name == "binpick":
+                found.append(words[1:])
+    return found
+
+
+class References(HTMLParser):
+    """Collects what a page would load: scripts, styles, images, frames."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        named = dict(attrs)
+        if tag in ("script", "img", "iframe", "source", "video") and named.get("src"):
+            self.found.append(str(named["src"]))
+        if tag == "link" and named.get("href") and named.get("rel") in ("stylesheet", "icon", "preload"):
+            self.found.append(str(named["href"]))
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_links_lead_somewhere(path: Path) -> None:
+    targets = re.findall(r"\]\((?!https?:|#)([^)#\s]+)", path.read_text())
+    assert [target for target in targets if not (path.parent / target).exists()] == []
+
+
+def test_the_readme_fits_on_a_page() -> None:
+    lines = (ROOT / "README.md").read_text().splitlines()
+    assert len(lines) <= 160
+    assert [line for line in lines if len(line) > 100] == []
+
+
+def test_every_page_is_in_the_table_of_contents() -> None:
+    index = (ROOT / "docs" / "index.md").read_text()
+    pages = {str(path.relative_to(ROOT / "docs").with_suffix("")) for path in (ROOT / "docs").rglob("*.md")}
+    assert {page for page in pages if page != "index" and page not in index.splitlines()} == set()
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_loads_nothing_from_a_network(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    pages = sorted(tmp_path.rglob("*.html"))
+    assert len(pages) > 20
+    for page in pages:
+        references = References()
+        references.feed(page.read_text())
+        assert references.found, page
+        for reference in references.found:
+            assert not re.match(r"(https?:)?//", reference), (page, reference)
+            if not reference.startswith("data:"):
+                assert (page.parent / reference.split("?")[0]).exists(), (page, reference)
+    styles = "".join(path.read_text(errors="replace") for path in tmp_path.rglob("*.css"))
+    assert re.findall(r"(?:url\(|@import )['\"]?https?:[^)'\"]+", styles) == []
+    assert "GSR" in (tmp_path / "explanation" / "numbers.html").read_text()
+    assert "PoseEstimator" in (tmp_path / "reference" / "perception.html").read_text()
