@@ -1,4 +1,4 @@
-"""Sphinx configuration of the site. `make docs` builds it without a network, and the built pages load nothing from one."""
+"""Configuration of the site. `make docs` builds it without a network, and the built pages load nothing from one."""
 
 from importlib.metadata import version as installed_version
 

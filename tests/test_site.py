@@ -1,4 +1,4 @@
-"""README, site and examples: every snippet runs, every command line parses, the built pages load nothing from a network."""
+"""README and site: snippets run, links lead somewhere, the built pages load nothing from a network."""
 
 import re
 import shlex
