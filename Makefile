@@ -7,7 +7,7 @@ JOBS ?= 2
 BENCH ?= cell
 ARGS ?=
 
-.PHONY: setup pick test test-fast lint type bench picture build clean help
+.PHONY: setup pick test test-fast lint type docs bench picture build clean help
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -26,7 +26,7 @@ $(VENV)/.run-stamp: pyproject.toml constraints.txt | $(BIN)/python
 $(VENV)/.dev-stamp: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing binpick with everything for development into $(VENV) ..."
 	$(PIP) torch==2.13.0
-	$(PIP) -e '.[learn,report,viz,dev]' hatchling
+	$(PIP) -e '.[learn,report,viz,docs,dev]' hatchling
 	@touch $@ $(VENV)/.run-stamp
 
 setup: $(VENV)/.dev-stamp  ## make .venv with everything for development
@@ -49,13 +49,17 @@ type: $(VENV)/.dev-stamp  ## mypy --strict
 	$(BIN)/mypy
 	$(BIN)/mypy scripts/*.py
 
+docs: $(VENV)/.dev-stamp  ## the site, in docs/_build, without a network
+	$(BIN)/python -m sphinx -q -W -b html docs docs/_build
+	@echo "open docs/_build/index.html"
+
 bench: $(VENV)/.run-stamp  ## a benchmark: make bench BENCH=cell ARGS='--save FILE'
 	$(BIN)/binpick bench $(BENCH) $(ARGS)
 
 picture: $(VENV)/.run-stamp  ## the README's pictures
-	$(BIN)/binpick picture --part tee --seed 0 --out docs/cell.png
-	$(BIN)/binpick picture --show segmentation --part tee --seed 7 --out docs/segmentation.png
-	$(BIN)/binpick picture --show poses --part tee --seed 7 --out docs/poses.png
+	$(BIN)/binpick picture --part tee --seed 0 --out docs/images/cell.png
+	$(BIN)/binpick picture --show segmentation --part tee --seed 7 --out docs/images/segmentation.png
+	$(BIN)/binpick picture --show poses --part tee --seed 7 --out docs/images/poses.png
 
 build: $(VENV)/.dev-stamp  ## the wheel in dist/, tested alone from another directory
 	rm -rf dist
@@ -63,5 +67,5 @@ build: $(VENV)/.dev-stamp  ## the wheel in dist/, tested alone from another dire
 	BINPICK_WHEEL=$$(ls dist/*.whl) $(BIN)/python -m pytest tests/test_wheel.py -m slow
 
 clean:  ## remove what was made, results in runs/ excepted
-	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) dist build docs/_build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
