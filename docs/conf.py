@@ -1,11 +1,12 @@
 """Configuration of the site. `make docs` builds it without a network, and the built pages load nothing from one."""
 
-from importlib.metadata import version as installed_version
+import tomllib
+from pathlib import Path
 
 project = "binpick"
 author = "the binpick developers"
 project_copyright = "the binpick developers, MIT licence"
-version = release = installed_version("binpick")
+version = release = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]["version"]
 
 extensions = [
     "myst_parser",
