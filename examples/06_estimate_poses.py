@@ -6,7 +6,7 @@ import numpy as np
 import binpick_env  # noqa: F401 - registers the environments
 from perception.boundary import extract_boundary
 from perception.instance import true_instances
-from perception.metrics.pose_error import pose_error
+from perception.metrics.pose_errors import pose_error
 from perception.pose.estimator import PoseEstimator
 
 
