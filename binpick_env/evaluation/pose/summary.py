@@ -69,8 +69,8 @@ class PoseSummary:
         purity: Median share of a trial group's points that lie on its part.
         by_visible_fraction: Recall by band of visible fractions.
         reliability: Share of correct poses by tenth of the score.
-        calibration_error: Mean absolute difference of share and mean score over the bins of ``reliability``, weighted by
-            their poses.
+        calibration_error: Mean absolute difference of share and mean score over the bins of ``reliability``, weighted
+            by their poses.
         brier: Mean squared difference between a score and 1 for correct, 0 for wrong.
         ap: ScanNet's average precision of the groups; 0 without segments.
         ap50: Average precision of the groups at an IoU of 0.5.
