@@ -10,6 +10,12 @@ pytest.register_assert_rewrite("tests.binpick_env.small_cell")
 from binpick_env.cell.simulation import Simulation  # noqa: E402
 from binpick_env.env import BinPickEnv  # noqa: E402
 from tests.binpick_env.small_cell import small_env, small_simulation  # noqa: E402
+from tests.shared_models import share_models  # noqa: E402
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _models_are_shared() -> None:
+    share_models()
 
 
 @pytest.fixture(scope="module")

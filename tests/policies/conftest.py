@@ -5,6 +5,12 @@ import pytest
 pytest.register_assert_rewrite("tests.policies.hand_cell")
 
 from tests.policies.hand_cell import SMALL_BIN, HandCell, hand_cell  # noqa: E402
+from tests.shared_models import share_models  # noqa: E402
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _models_are_shared() -> None:
+    share_models()
 
 
 @pytest.fixture(scope="module")

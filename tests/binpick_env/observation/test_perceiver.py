@@ -198,17 +198,17 @@ def test_a_part_without_weights_is_told_how_to_train_them_and_what_else_there_is
         assert told in text
 
 
-@pytest.mark.parametrize(("mode", "loaded"), [("oracle", False), ("gt_masks", False), ("learned", True)])
-def test_torch_is_loaded_for_a_network_only(mode: str, loaded: bool) -> None:
-    code = f"""
+def test_the_oracle_loads_no_torch() -> None:
+    """Those that work from pixels are asked in test_warm_up.py."""
+    code = """
 import sys
 import gymnasium as gym
 import binpick_env
-env = gym.make("BinPick-v0", num_parts=1, perception={mode!r}, threads=1)
+env = gym.make("BinPick-v0", num_parts=1, perception="oracle", threads=1)
 observation, _ = env.reset(seed=31)
 assert observation["candidate_mask"].sum() == 1
 print("torch" in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == f"{loaded}\n"
+    assert done.stdout == "False\n"

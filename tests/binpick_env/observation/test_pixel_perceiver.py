@@ -189,11 +189,10 @@ def test_beside_a_verified_pose_none_stands_in(known: BinPickEnv) -> None:
 # --- threads
 
 
-def test_one_thread_setting_for_all() -> None:
+def test_one_thread_setting_for_all(learned: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     before = torch.get_num_threads(), cv2.getNumThreads()
     threads: list[tuple[int, int]] = []
-    env = cell(threads=1)
-    perceiver = env._perceiver
+    perceiver = learned._perceiver
     assert isinstance(perceiver, PixelPerceiver)
     recognise = perceiver._recognise
 
@@ -201,14 +200,14 @@ def test_one_thread_setting_for_all() -> None:
         threads.append((torch.get_num_threads(), cv2.getNumThreads()))
         return recognise(labelled)
 
-    perceiver._recognise = watched
+    monkeypatch.setattr(perceiver, "_recognise", watched)
     try:
         torch.set_num_threads(2)
         cv2.setNumThreads(2)
-        env.reset(seed=31)
+        learned.reset(seed=31)
         assert (torch.get_num_threads(), cv2.getNumThreads()) == (2, 2)
-        perceiver._threads = None
-        env.look()
+        monkeypatch.setattr(perceiver, "_threads", None)
+        learned.look()
     finally:
         torch.set_num_threads(before[0])
         cv2.setNumThreads(before[1])
@@ -217,7 +216,7 @@ def test_one_thread_setting_for_all() -> None:
 
 def test_threads_arrive_at_the_perceiver() -> None:
     for threads in (None, 2):
-        perceiver = cell(perception="gt_masks", threads=threads)._perceiver
+        perceiver = cell("bracket", perception="gt_masks", threads=threads)._perceiver
         assert isinstance(perceiver, PixelPerceiver)
         assert perceiver._threads == threads
 

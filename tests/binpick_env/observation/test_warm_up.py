@@ -36,15 +36,18 @@ before = versions()
 env.reset(seed=31)
 after = versions()
 late = {name for name, count in after.items() if count != before.get(name)}
-print(len(env.candidates), sum(after.values()), *sorted(late))
+print("torch" in sys.modules, len(env.candidates), sum(after.values()), *sorted(late))
 """
 
 
-@pytest.mark.parametrize("perception", ["gt_masks", "learned"])
-def test_no_kernel_is_compiled_in_the_first_frame(perception: str) -> None:
+@pytest.mark.parametrize(("perception", "torch"), [("gt_masks", False), ("learned", True)])
+def test_no_kernel_is_compiled_in_the_first_frame_and_torch_is_loaded_for_a_network_only(
+    perception: str, torch: bool
+) -> None:
     command = [sys.executable, "-c", FIRST_FRAME, perception]
     run = subprocess.run(command, env=os.environ, capture_output=True, text=True, check=True)
-    candidates, compiled, *late = run.stdout.split()
+    loaded, candidates, compiled, *late = run.stdout.split()
+    assert loaded == str(torch)
     assert int(candidates) == 3
     assert int(compiled) > 20
     assert late == []
@@ -83,5 +86,5 @@ def test_only_the_first_perceiver_of_each_mode_warms_up(monkeypatch: pytest.Monk
     monkeypatch.setattr(pixel_perceiver, "_warmed_up", set())
     monkeypatch.setattr(pixel_perceiver.PixelPerceiver, "perceive", perceive)
     for perception, count in (("gt_masks", 1), ("gt_masks", 1), ("learned", 2), ("gt_masks", 2)):
-        cell(perception=perception)
+        cell("bracket", perception=perception)
         assert len(captures) == count

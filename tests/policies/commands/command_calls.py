@@ -3,7 +3,13 @@
 import os
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
+
+import pytest
+
+from policies.commands import main as entry
 
 ROOT = Path(__file__).resolve().parents[3]
 TINY = ["--min-parts", "2", "--max-parts", "2", "--width", "640", "--height", "480", "--sensor", "none"]
@@ -11,7 +17,20 @@ TINY += ["--perception", "oracle"]
 
 
 def run(command: str, *arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    """Call a command by its script, in a process of its own."""
+    """Call a command as its script does, but in this process, which has loaded the simulator and the kernels."""
+    out, err = StringIO(), StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.chdir(cwd)
+        patch.setattr(entry, "show_status", lambda: None)  # other tests read the levels of the packages' loggers
+        try:
+            code = entry.main([command, *arguments])
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+    return subprocess.CompletedProcess([command, *arguments], code, out.getvalue(), err.getvalue())
+
+
+def run_script(command: str, *arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """Call a command by its script, in a process of its own, as a user does."""
     return start([sys.executable, str(script(command)), *arguments], cwd)
 
 

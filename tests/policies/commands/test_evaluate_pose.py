@@ -104,10 +104,11 @@ def test_it_says_a_users_mistake_in_one_line(
 def test_it_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def stop(*_: object, **__: object) -> Iterator[int]:
+    def stop(config: object, count: int, out: Path, workers: int, **_: object) -> Iterator[int]:
+        assert (count, out, workers) == (4, tmp_path, 3)
         yield 0
         raise KeyboardInterrupt
 
     monkeypatch.setattr(evaluation, "evaluate_poses", stop)
-    assert evaluate.run(evaluate.Arguments(perception="gt_masks", out=tmp_path)) == 130
+    assert evaluate.run(evaluate.Arguments(perception="gt_masks", count=4, workers=3, out=tmp_path)) == 130
     assert f"what is finished is kept in {tmp_path}: the same command goes on" in capsys.readouterr().err

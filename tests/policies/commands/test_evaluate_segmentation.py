@@ -24,7 +24,8 @@ def tiny_weights(tmp_path: Path) -> Path:
 def test_evaluate_segmentation_judges_resumes_and_refuses_another_method(tmp_path: Path, tiny_weights: Path) -> None:
     out, facts = tmp_path / "run", tmp_path / "new" / "facts.json"
     common = [*JUDGED, "--weights", str(tiny_weights), "--out", str(out)]
-    done = run("evaluate-segmentation", "--count", "2", "--html", "--gallery", "1", *common, cwd=tmp_path)
+    arguments = ["--count", "2", "--workers", "1", "--html", "--gallery", "1"]
+    done = run("evaluate-segmentation", *arguments, *common, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "tee · tiny.safetensors · sensor good · 2 scenes · seed 7" in done.stdout
     assert "hand-labelled real scenes" in done.stdout.replace("\n", " ")
@@ -90,10 +91,11 @@ def test_evaluate_segmentation_says_a_users_mistake_in_one_line(
 def test_evaluate_segmentation_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def stop(*_: object, **__: object) -> Iterator[int]:
+    def stop(config: object, count: int, out: Path, workers: int, **_: object) -> Iterator[int]:
+        assert (count, out, workers) == (4, tmp_path, 3)
         yield 0
         raise KeyboardInterrupt
 
     monkeypatch.setattr(evaluation, "evaluate_scenes", stop)
-    assert evaluate.run(evaluate.Arguments(method="euclidean", out=tmp_path)) == 130
+    assert evaluate.run(evaluate.Arguments(method="euclidean", count=4, workers=3, out=tmp_path)) == 130
     assert f"what is finished is kept in {tmp_path}: the same command goes on" in capsys.readouterr().err

@@ -20,7 +20,7 @@ SCENES = ["--min-parts", "2", "--max-parts", "3", "--width", "320", "--height", 
 def test_generate_scenes_makes_resumes_and_refuses_another_configuration(tmp_path: Path) -> None:
     out, facts = tmp_path / "scenes", tmp_path / "new" / "facts.json"
     common = [*SCENES, "--out", str(out)]
-    done = run("generate-scenes", "--count", "2", "--json", str(facts), *common, cwd=tmp_path)
+    done = run("generate-scenes", "--count", "2", "--workers", "1", "--json", str(facts), *common, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert f"2 scenes in {out}" in done.stdout
     numbers = json.loads(facts.read_text())

@@ -15,7 +15,7 @@ from policies.commands.registry import COMMANDS
 from policies.commands.status import StatusHandler
 from policies.selection.choices import HEURISTICS
 from policies.selection.selectors import SELECTORS
-from tests.policies.commands.command_calls import ROOT, run, script, start
+from tests.policies.commands.command_calls import ROOT, run_script, script, start
 
 HEAVY = ("torch", "mujoco", "numba", "cv2", "trimesh", "scipy", "mink", "stable_baselines3", "tqdm")
 NAMES = [command.name for command in COMMANDS]
@@ -134,7 +134,7 @@ def test_an_unknown_option_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> N
 
 def test_every_script_is_a_command() -> None:
     assert sorted(path.name for path in (ROOT / "scripts").glob("*.py")) == sorted(script(name).name for name in NAMES)
-    assert run("evaluate-pose", "--count", "0", "--perception", "gt_masks").returncode == 2
+    assert run_script("evaluate-pose", "--count", "0", "--perception", "gt_masks").returncode == 2
 
 
 def test_expected_errors_are_one_line_and_others_are_raised(capsys: pytest.CaptureFixture[str]) -> None:

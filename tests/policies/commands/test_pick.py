@@ -7,7 +7,7 @@ import trimesh
 from policies.commands import pick
 from policies.evaluation import jobs
 from policies.evaluation.bin_evaluation import BinError
-from tests.policies.commands.command_calls import TINY, run
+from tests.policies.commands.command_calls import TINY, run, run_script
 
 
 def test_help_names_every_argument_of_the_contract() -> None:
@@ -76,7 +76,7 @@ def test_a_bin_that_fails_is_one_line_and_exit_code_2(
 def test_pick_runs_resumes_and_refuses_another_configuration(tmp_path: Path) -> None:
     out, film = tmp_path / "run", tmp_path / "film.mp4"
     common = [*TINY, "--perception", "learned", "--out", str(out)]
-    done = run("pick", "--bins", "1", "--video", str(film), "--video-limit", "1", *common, cwd=tmp_path)
+    done = run_script("pick", "--bins", "1", "--video", str(film), "--video-limit", "1", *common, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "GSR" in done.stdout
     for status in (

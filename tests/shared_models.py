@@ -1,0 +1,34 @@
+"""Models of a mesh are computed once per test process: many tests build a cell of the same robot and part."""
+
+import hashlib
+import pickle
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+MOST = 64  # results that are kept of each function
+
+
+@cache
+def share_models() -> None:
+    """Let cells share the normals of their meshes, and estimators of a part its pair table."""
+    from binpick_env.camera import raster
+    from perception.pose import estimator
+
+    for module, name in ((raster, "corner_normals"), (estimator, "build_table")):
+        setattr(module, name, remembered(getattr(module, name)))
+
+
+def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that computes its result once for equal arguments; callers must not change the result."""
+    results: dict[bytes, Any] = {}
+
+    def remember(*arguments: Any, **named: Any) -> Any:
+        key = hashlib.sha256(pickle.dumps((arguments, named))).digest()
+        if key not in results:
+            if len(results) == MOST:
+                del results[next(iter(results))]
+            results[key] = function(*arguments, **named)
+        return results[key]
+
+    return remember
