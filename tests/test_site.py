@@ -1,5 +1,6 @@
 """README and site: snippets run, links lead somewhere, the built pages load nothing from a network."""
 
+import importlib
 import re
 import shlex
 import subprocess
@@ -8,6 +9,9 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+
+from policies.commands.command_line import parse
+from policies.commands.registry import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -51,10 +55,34 @@ class References(HTMLParser):
             self.found.append(str(named["href"]))
 
 
+class OptionsReadError(Exception):
+    """Ends a command once its options are read."""
+
+
+@pytest.mark.parametrize("path", [page for page in [*PAGES, ROOT / "BENCHMARK.md"] if command_lines(page)], ids=name_of)
+def test_every_command_line_is_one_that_the_command_takes(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {command.name: command.module for command in COMMANDS}
+    for line in command_lines(path):
+        module = importlib.import_module(names[line[0]])
+
+        def read(options: object, command: str, arguments: list[str], line: list[str] = line) -> None:
+            assert command == line[0]
+            raise OptionsReadError(repr(parse(options, command, arguments)))
+
+        monkeypatch.setattr(module, "parse", read)
+        with pytest.raises(OptionsReadError):  # SystemExit if an option is unknown
+            module.main(line[1:])
+
+
 @pytest.mark.parametrize("path", PAGES, ids=name_of)
 def test_links_lead_somewhere(path: Path) -> None:
     targets = re.findall(r"\]\((?!https?:|#)([^)#\s]+)", path.read_text())
     assert [target for target in targets if not (path.parent / target).exists()] == []
+
+
+def test_every_command_is_in_the_reference() -> None:
+    text = (ROOT / "docs" / "reference" / "commands.md").read_text()
+    assert set(re.findall(r"^\| `binpick ([\w-]+)` \|", text, flags=re.MULTILINE)) == {each.name for each in COMMANDS}
 
 
 def test_the_readme_fits_on_a_page() -> None:
