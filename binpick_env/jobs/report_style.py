@@ -3,24 +3,24 @@
 import base64
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
 
 CSS = """
 :root { color-scheme: light dark; --ink: #1d2330; --soft: #667085; --paper: #f6f7f9; --card: #ffffff; --line: #e3e7ee;
   --good: #1a8f5c; --bad: #d1453b; --idle: #b7791f; --accent: #2f5fd0; --track: #edf0f5; }
 @media (prefers-color-scheme: dark) { :root { --ink: #e6e9f0; --soft: #98a2b3; --paper: #12151c; --card: #1b202a;
   --line: #2c3340; --good: #3fbf85; --bad: #f0756c; --idle: #e0b04a; --accent: #86a8ff; --track: #262d39; } }
-* { box-sizing: border-box; }
+* { box-sizing: border-box; } a { color: var(--accent); }
 body { margin: 0; background: var(--paper); color: var(--ink);
   font: 15px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
 main { max-width: 1120px; margin: 0 auto; padding: 32px 24px 64px; } main.wide { max-width: 1800px; }
-h1 { font-size: 26px; margin: 0; letter-spacing: -.01em; }
+h1 { font-size: 26px; margin: 0; letter-spacing: -.01em; overflow-wrap: anywhere; }
+@media (max-width: 600px) { main { padding: 20px 12px 48px; } .card { padding: 12px; } }
 h2 { font-size: 18px; margin: 40px 0 12px; }
 p, figcaption, .soft { color: var(--soft); } p { margin: 4px 0; max-width: 80ch; }
 .card { background: var(--card); border: 1px solid var(--line); border-radius: 12px; padding: 16px 18px; }
 .grid { display: grid; gap: 14px; }
 .tiles { grid-template-columns: repeat(auto-fit, minmax(230px, 1fr)); margin-top: 20px; }
-.two { grid-template-columns: repeat(auto-fit, minmax(420px, 1fr)); }
+.two { grid-template-columns: repeat(auto-fit, minmax(min(420px, 100%), 1fr)); } .grid > * { min-width: 0; }
 .tile b { display: block; font-size: 32px; font-weight: 650; letter-spacing: -.02em; line-height: 1.2; }
 .tile span { color: var(--soft); font-size: 13px; display: block; }
 .range { position: relative; height: 6px; border-radius: 3px; background: var(--track); margin: 8px 0 6px; }
@@ -30,7 +30,7 @@ table { border-collapse: collapse; width: 100%; font-size: 13.5px; font-variant-
 th { text-align: left; font-weight: 600; color: var(--soft); }
 th, td { padding: 5px 10px 5px 0; border-bottom: 1px solid var(--line); }
 td.n, th.n { text-align: right; } tr:last-child td { border-bottom: 0; }
-.bar { display: grid; grid-template-columns: 150px 1fr 92px; gap: 10px; align-items: center; padding: 3px 0;
+.bar { display: grid; grid-template-columns: minmax(90px, 38%) 1fr 92px; gap: 10px; align-items: center; padding: 3px 0;
   font-size: 13.5px; }
 .bar div { background: var(--track); border-radius: 4px; height: 14px; overflow: hidden; }
 .bar i { display: block; height: 14px; } .bar span { text-align: right; font-variant-numeric: tabular-nums; }
@@ -45,6 +45,11 @@ svg polyline { fill: none; stroke-width: 2; } svg .axis { stroke: var(--line); s
 .line-0 { stroke: var(--accent); } .line-1 { stroke: var(--good); } .line-2 { stroke: var(--idle); }
 svg text.line-0 { fill: var(--accent); stroke: none; } svg text.line-1 { fill: var(--good); stroke: none; }
 svg text.line-2 { fill: var(--idle); stroke: none; }
+.zoom { margin: 0; } .zoom summary { display: block; list-style: none; cursor: zoom-in; }
+.zoom summary::-webkit-details-marker { display: none; }
+.zoom[open] summary { position: fixed; inset: 0; z-index: 9; display: grid; place-items: center; cursor: zoom-out;
+  background: rgb(0 0 0 / .86); }
+.zoom[open] img { width: 96vw; height: 96vh; object-fit: contain; background: none; }
 details { margin-top: 10px; } summary { cursor: pointer; color: var(--accent); font-size: 13.5px; }
 .strip { display: flex; flex-wrap: wrap; gap: 3px; margin: 10px 0 2px; }
 .strip i { width: 15px; height: 15px; border-radius: 4px; }
@@ -101,17 +106,33 @@ def tag(text: str, kind: str) -> str:
     return f"<span class='tag {kind}'>{escape(text)}</span>"
 
 
-def figure(path: Path, caption: str) -> str:
-    """Return a JPEG file as an inline figure, or a note if the file does not exist."""
-    if not path.is_file():
-        return f"<figure><p>no picture</p><figcaption>{caption}</figcaption></figure>"
-    return inline_figure(path.read_bytes(), "jpeg", caption)
+def picture(source: str, alt: str) -> str:
+    """Return a picture that fills the window when it is clicked, and goes back with the next click.
+
+    The page needs no script for it: the picture is the summary of a ``details`` element.
+
+    Args:
+        source: Data URI, or path of the file relative to the page.
+        alt: Text for those who do not see the picture.
+    """
+    later = "" if source.startswith("data:") else " loading='lazy'"
+    image = f"<img alt='{escape(alt, quote=True)}'{later} src='{source}'>"
+    return f"<details class='zoom' name='zoom'><summary>{image}</summary></details>"
 
 
-def inline_figure(data: bytes, kind: str, caption: str) -> str:
-    """Return an inline figure of an encoded picture, whose ``kind`` is ``jpeg`` or ``png``."""
+def figure(source: str | None, caption: str, alt: str) -> str:
+    """Return a figure with its caption in HTML, or a note if there is no ``source``; see `picture`."""
+    shown = "<p>no picture</p>" if source is None else picture(source, alt)
+    return f"<figure>{shown}<figcaption>{caption}</figcaption></figure>"
+
+
+def inline_figure(data: bytes, kind: str, caption: str, alt: str = "") -> str:
+    """Return an inline figure of an encoded picture, whose ``kind`` is ``jpeg``, ``webp`` or ``png``.
+
+    The caption in HTML serves as alternative text unless another is given.
+    """
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-    return f"<figure><img alt='' src='{source}'><figcaption>{caption}</figcaption></figure>"
+    return figure(source, caption, alt or caption)
 
 
 def curves(lines: Sequence[tuple[str, Sequence[tuple[float, float]]]], across: str, up: str) -> str:
@@ -135,4 +156,6 @@ def curves(lines: Sequence[tuple[str, Sequence[tuple[float, float]]]], across: s
     drawn.append(f"<text x='{middle}' y='{top + size + 36}' text-anchor='middle'>{escape(across)}</text>")
     turned = f"transform='rotate(-90 12 {top + size // 2})'"
     drawn.append(f"<text x='12' y='{top + size // 2}' text-anchor='middle' {turned}>{escape(up)}</text>")
-    return f"<svg viewBox='0 0 {left + size + 16} {top + size + 44}'>{''.join(drawn)}</svg>"
+    label = escape(f"{up} against {across}", quote=True)
+    box = f"0 0 {left + size + 16} {top + size + 44}"
+    return f"<svg role='img' aria-label='{label}' viewBox='{box}'>{''.join(drawn)}</svg>"

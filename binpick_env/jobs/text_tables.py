@@ -25,6 +25,17 @@ def number(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
+def fine(value: float | None) -> str:
+    """Return a small positive quantity such as an error: two decimals below 1, and never 0 unless it is 0."""
+    if value is None:
+        return "–"
+    if value == 0:
+        return "0"
+    if value < 0.01:
+        return "< 0.01"
+    return f"{value:.{2 if value < 1 else 1}f}"
+
+
 def spread(interval: tuple[float, float] | None) -> str:
     """Return an interval of whole numbers, or a dash for None."""
     return "–" if interval is None else f"{interval[0]:.0f} to {interval[1]:.0f}"

@@ -42,6 +42,7 @@ class Arguments(CellArguments):
     out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-SEED) unless given
     json: Path | None = None  # JSON file for the numbers; results.json (or budget.json) in the folder unless given
     html: bool = True  # write report.html (or budget.html) into the folder, with a picture of every pick
+    zip: bool = False  # also pack page, pictures, picks.csv and numbers into report.zip in the folder, to mail it
     video: Path | None = None  # film the first bin into this .mp4; slow unless MUJOCO_GL names a GL driver
     video_limit: float = 60.0  # length of the film in simulated time [s]
     # record all that the robot sees and does in the first bin into this .rrd, for Rerun's viewer
@@ -107,8 +108,8 @@ def _pick(args: Arguments) -> str:
         print(part_note(parts[0]))
     records = {mode: _run(*run) for mode, run in runs.items()}
     if args.budget:
-        return conclude_budget(records, runs, job, numbers=args.json, html=args.html)
-    return conclude(records[args.perception], config, job, numbers=args.json, html=args.html)
+        return conclude_budget(records, runs, job, numbers=args.json, html=args.html, archive=args.zip)
+    return conclude(records[args.perception], config, job, numbers=args.json, html=args.html, archive=args.zip)
 
 
 def _run(config: "EvaluationConfig", job: "Job") -> "list[BinRecord]":

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from perception.runtime.files import json_text, write_atomically
-from policies.evaluation.conditions import given_numbers
+from policies.evaluation.conditions import flat_settings, given_numbers
 from policies.evaluation.frame_summary import RATES, frame_counts, paired_ap
 from policies.evaluation.jobs import CONFIG_FILE
 from policies.evaluation.records import BinRecord, load_record
@@ -157,7 +157,7 @@ def compare_runs(first: Run, second: Run) -> Comparison:
         second=str(second.folder),
         part=first.config["part"],
         seed=first.config["seed"],
-        settings=_differing(_flat(first.config), _flat(second.config)),
+        settings=_differing(flat_settings(first.config), flat_settings(second.config)),
         commits=(_commits(a for a, _ in pairs), _commits(b for _, b in pairs)),
         left_out=tuple(sorted(set(first.records) ^ set(second.records))),
         numbers={key: _difference(key, pairs, (first.config, second.config), rng) for key in NUMBERS},
@@ -190,14 +190,6 @@ def _require_same_bins(first: Run, second: Run, common: Sequence[int]) -> None:
 def _differing(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     names = list(dict.fromkeys([*first, *second]))
     return {name: (first.get(name), second.get(name)) for name in names if first.get(name) != second.get(name)}
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted names."""
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
-    return flat
 
 
 def _commits(records: Any) -> tuple[str, ...]:

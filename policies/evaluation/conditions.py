@@ -31,3 +31,11 @@ def conditions(config: Mapping[str, Any]) -> tuple[str, ...]:
     if (friction := config.get("friction")) is not None:
         facts.append(f"friction {friction:g}")
     return tuple(facts)
+
+
+def flat_settings(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested settings by dotted names, such as ``camera.distance``."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        flat |= flat_settings(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return flat

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from binpick_env.jobs.text_tables import WIDTH, number, percent, spread
+from binpick_env.jobs.text_tables import WIDTH, fine, number, percent, spread
 from binpick_env.parts import Part
-from policies.evaluation.conditions import conditions
+from policies.evaluation.conditions import GIVEN, conditions, given_numbers
 from policies.evaluation.records import BinRecord
 from policies.evaluation.statistics import Interval
 from policies.evaluation.summary import Summary
@@ -65,31 +65,34 @@ def part_note(part: Part) -> str:
 
 
 def _side_by_side(summary: Summary) -> list[str]:
-    """Return segmentation, poses and picking of the same bins in three columns."""
-    gsr = summary.gsr_rate
-    columns = [
-        ("segmentation AP", "recognition", "picking success"),
-        (percent(summary.ap), percent(summary.candidate_pose_accuracy), percent(summary.gsr)),
-        (
-            f"AP50 {percent(summary.ap50)}, AP75 {percent(summary.ap75)}",
-            f"poses right of {summary.candidates}",
-            f"GSR of {summary.attempts} attempts",
-        ),
-        (
-            _interval(summary.intervals["ap"]),
-            _interval(summary.intervals["candidate_pose_accuracy"]),
-            _interval((gsr.low, gsr.high)),
-        ),
-    ]
-    return [f"{a:<34}{b:<24}{c:<20}".rstrip() for a, b, c in columns]
+    """Return segmentation, poses and picking of the same bins in columns: what is right, beside how much is found."""
+    given = given_numbers(summary.config["perception"])
+    columns = []
+    for name, key, of in (
+        ("AP", "ap", "segmentation"),
+        ("recognition", "candidate_pose_accuracy", f"of {summary.candidates} poses"),
+        ("recall", "candidate_recall", f"of {summary.parts_to_find} parts"),
+    ):
+        if key in given:
+            columns.append((name, GIVEN, of, "not measured"))
+        else:
+            columns.append((name, percent(getattr(summary, key)), of, _interval(summary.intervals[key])))
+    for name, rate, of in (("GSR", summary.gsr_rate, "attempts"), ("DR", summary.dr_rate, "parts")):
+        columns.append((name, percent(rate.value), f"of {rate.n} {of}", _interval((rate.low, rate.high))))
+    rows = zip(*columns, strict=True)
+    return [f"{first:<17}{''.join(f'{cell:<16}' for cell in others)}".rstrip() for first, *others in rows]
 
 
 def _perception(summary: Summary) -> list[str]:
     error = summary.pose_error
+    given = given_numbers(summary.config["perception"])
+    segments = GIVEN if "ap" in given else f"AP50 {percent(summary.ap50)}, AP75 {percent(summary.ap75)}"
+    note = f" ({GIVEN})" if "candidate_recall" in given else ""
     lines = [
+        f"segments      {segments}",
         f"candidates    precision {percent(summary.candidate_precision)}, recall {percent(summary.candidate_recall)} "
-        f"of {summary.parts_to_find} parts half visible, in {summary.frames} frames",
-        f"poses off by  {number(error['mm'], 2)} mm, {number(error['deg'], 2)} deg (medians)",
+        f"of {summary.parts_to_find} parts half visible, in {summary.frames} frames{note}",
+        f"poses off by  {fine(error['mm'])} mm, {fine(error['deg'])} deg (medians){note}",
     ]
     if summary.perception_ms:
         stages = ", ".join(f"{name} {ms:.0f}" for name, ms in summary.perception_ms.items())

@@ -7,7 +7,9 @@ from binpick_env.jobs.report_style import page, table
 from binpick_env.jobs.text_tables import columns, number, percent
 from perception.runtime.files import write_atomically
 from policies.evaluation.budget import COSTS, MODES, Budget, Cost
+from policies.evaluation.conditions import GIVEN, given_numbers
 from policies.evaluation.failure_attribution import FailureStage
+from policies.evaluation.summary import Summary
 
 _RATES = {
     "AP": "ap",
@@ -57,7 +59,7 @@ def _stages() -> list[str]:
 def _numbers(budget: Budget) -> list[list[str]]:
     """Return the rows of the evaluations' numbers, with failed attempts by stage."""
     summaries = [budget.modes[mode] for mode in MODES]
-    rows = [[name, *(percent(getattr(summary, key)) for summary in summaries)] for name, key in _RATES.items()]
+    rows = [[name, *(_rate(mode, key, budget.modes[mode]) for mode in MODES)] for name, key in _RATES.items()]
     rows.append(["MPPH", *(number(summary.mpph, 0) for summary in summaries)])
     times = ("sense", "compute", "motion")
     rows += [[f"{name} [s]", *(number(summary.time[name], 2) for summary in summaries)] for name in times]
@@ -68,6 +70,10 @@ def _numbers(budget: Budget) -> list[list[str]]:
     ]
     rows.append(["abstentions", *(str(sum(summary.abstentions.values())) for summary in summaries)])
     return rows
+
+
+def _rate(mode: str, key: str, summary: Summary) -> str:
+    return GIVEN if key in given_numbers(mode) else percent(getattr(summary, key))
 
 
 def _costs(budget: Budget) -> list[list[str]]:

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 
 from binpick_env.config import Perception
+from perception.runtime.files import write_atomically
 from policies.evaluation.budget import Runs, make_budget, save_budget
 from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import Job
@@ -13,7 +15,10 @@ from policies.evaluation.records import BinRecord
 from policies.evaluation.summary import Summary, save_summary, summarise
 from policies.evaluation.tables import result_table
 from policies.report.budget_report import budget_table, write_budget_report
+from policies.report.pick_csv import picks_csv
 from policies.report.report import write_report
+
+PICKS_FILE = "picks.csv"  # all decisions, in the job's folder
 
 
 def conclude(
@@ -23,6 +28,7 @@ def conclude(
     *,
     numbers: Path | None = None,
     html: bool = True,
+    archive: bool = False,
 ) -> str:
     """Write an evaluation's numbers and its page; return the text to print.
 
@@ -32,10 +38,16 @@ def conclude(
         job: Job that made the records.
         numbers: JSON file to write the numbers to; None writes ``results.json`` in the job's folder.
         html: Whether ``report.html`` is written into the job's folder.
+        archive: Whether the page, the CSV file, the numbers and pictures beside the page are packed into
+            ``report.zip``, too.
     """
     numbers = numbers or job.out / "results.json"
-    summary = _write(records, config, job, numbers, html)
-    return "\n".join([result_table(summary), *_files(numbers, job.out / "report.html" if html else None)])
+    summary, packed = _write(records, config, job, numbers, html)
+    lines = [result_table(summary), *_files(numbers, job.out / "report.html" if html else None)]
+    lines.append(f"picks     {job.out / PICKS_FILE}")
+    if archive:
+        lines.append(f"archive   {_pack(job.out, packed, numbers)}")
+    return "\n".join(lines)
 
 
 def conclude_budget(
@@ -45,6 +57,7 @@ def conclude_budget(
     *,
     numbers: Path | None = None,
     html: bool = True,
+    archive: bool = False,
 ) -> str:
     """Write the numbers and pages of three evaluations and of their comparison; return the text to print.
 
@@ -54,23 +67,48 @@ def conclude_budget(
         job: Job that the evaluations were made from; its folder holds theirs.
         numbers: JSON file to write the comparison to; None writes ``budget.json`` in the job's folder.
         html: Whether the pages are written into the folders.
+        archive: Whether all pages, CSV files, the numbers and pictures beside a page are packed into ``report.zip``,
+            too.
     """
     numbers = numbers or job.out / "budget.json"
-    modes = {mode: _write(records[mode], *run, run[1].out / "results.json", html) for mode, run in runs.items()}
+    modes, packed = {}, []
+    for mode, run in runs.items():
+        modes[mode], files = _write(records[mode], *run, run[1].out / "results.json", html)
+        packed += files
     budget = make_budget(records, modes, np.random.default_rng(next(iter(modes.values())).seed))
     save_budget(numbers, budget)
     page = job.out / "budget.html" if html else None
     if page is not None:
         write_budget_report(page, budget)
-    return "\n".join([budget_table(budget), *_files(numbers, page)])
+        packed.append(page)
+    lines = [budget_table(budget), *_files(numbers, page)]
+    if archive:
+        lines.append(f"archive   {_pack(job.out, packed, numbers)}")
+    return "\n".join(lines)
 
 
-def _write(records: Sequence[BinRecord], config: EvaluationConfig, job: Job, numbers: Path, html: bool) -> Summary:
+def _write(
+    records: Sequence[BinRecord], config: EvaluationConfig, job: Job, numbers: Path, html: bool
+) -> tuple[Summary, list[Path]]:
+    """Write an evaluation's files; return its summary and those files that an archive takes beside the numbers."""
     summary = summarise(records, config, np.random.default_rng(config.seed))
     save_summary(numbers, summary)
+    write_atomically(job.out / PICKS_FILE, picks_csv(records))
+    files = [job.out / PICKS_FILE]
     if html:
-        write_report(job.out / "report.html", summary, records, job.out)
-    return summary
+        linked = write_report(job.out / "report.html", summary, records, job.out)
+        files += [job.out / "report.html", *(job.out / name for name in linked)]
+    return summary, files
+
+
+def _pack(folder: Path, files: Sequence[Path], numbers: Path) -> Path:
+    """Pack files of a folder, and the numbers wherever they are, into its ``report.zip``; return the archive's path."""
+    path = folder / "report.zip"
+    with ZipFile(path, "w", ZIP_DEFLATED) as archive:
+        for file in files:
+            archive.write(file, file.relative_to(folder))
+        archive.write(numbers, numbers.name)
+    return path
 
 
 def _files(numbers: Path, page: Path | None) -> list[str]:

@@ -3,19 +3,17 @@
 A link to ``#only-KIND`` hides all other decisions by the CSS selector ``:target``: the page needs no script.
 """
 
-import os
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
-from urllib.parse import quote
 
 import numpy as np
 
-from binpick_env.jobs.report_style import tag
-from binpick_env.jobs.text_tables import number, percent
+from binpick_env.jobs.report_style import figure, tag
+from binpick_env.jobs.text_tables import fine, number, percent
 from policies.evaluation.frame_record import CandidateRecord
 from policies.evaluation.records import BinRecord, PickRecord
 from policies.grasping.outcomes import GraspOutcome
+from policies.report.picture_source import PictureSource
 
 ALL = "all"
 FAILED_AT = "failed-at"  # prefix of the kinds of attempts that failed at one stage
@@ -23,10 +21,11 @@ NOTE = (
     "The frame that each decision was made on. Boundary points have the colour of the part that their segment matches; "
     "red and white stripes: no part. The outline is that of the chosen candidate, green if its pose is correct and red "
     "if it is wrong. Orange: the fingertips open (thin) and closed (thick); white: the last 5 cm of the approach. An "
-    "abstention's picture shows the whole bin with all candidates."
+    "abstention's picture shows the whole bin with all candidates. A click enlarges a picture."
 )
 _CSS = """
 .picks figure { scroll-margin: 12px; } .picks img { aspect-ratio: 1; background: var(--track); }
+.picks { grid-template-columns: repeat(auto-fill, minmax(min(240px, 100%), 1fr)); }
 .picks figure:target { outline: 3px solid var(--accent); outline-offset: 4px; border-radius: 8px; }
 .filters a, .bar a, .strip a { color: inherit; } .filters { margin: 8px 0 14px; }
 .filters a { margin-right: 12px; white-space: nowrap; }
@@ -34,12 +33,12 @@ _CSS = """
 """
 
 
-def gallery_section(records: Sequence[BinRecord], pictures: str) -> str:
+def gallery_section(records: Sequence[BinRecord], pictures: PictureSource) -> str:
     """Return the section of the page that shows every decision.
 
     Args:
         records: Records of all bins, in order.
-        pictures: Folder of the pictures, as a path relative to the page; see `relative_folder`.
+        pictures: Sources of the pictures by their file names.
     """
     picks = [(record, k, pick) for record in records for k, pick in enumerate(record.picks)]
     picks.sort(key=lambda each: _rank(each[2]))
@@ -49,11 +48,12 @@ def gallery_section(records: Sequence[BinRecord], pictures: str) -> str:
             counts[kind] = counts.get(kind, 0) + 1
     style = _CSS + "".join(
         f"#only-{kind}:target ~ .picks > figure:not(.is-{kind}) {{ display: none; }}\n"
+        f"#only-{kind}:target ~ .filters a[href='#only-{kind}'] {{ font-weight: 700; }}\n"
         for kind in counts
         if kind != ALL
     )
     targets = "".join(f"<i id='only-{kind}'></i>" for kind in counts)
-    links = "".join(f"<a href='#only-{kind}'>{escape(words(kind))} ({count})</a>" for kind, count in counts.items())
+    links = " ".join(f"<a href='#only-{kind}'>{escape(words(kind))} ({count})</a>" for kind, count in counts.items())
     figures = "".join(_figure(record, k, pick, pictures) for record, k, pick in picks)
     return (
         f"<style>{style}</style>{targets}<h2>Picks</h2><p>{NOTE}</p><p class='filters'>{links}</p>"
@@ -97,11 +97,6 @@ def strip(record: BinRecord) -> str:
     return f"<div class='strip'>{''.join(squares)}</div>"
 
 
-def relative_folder(pictures: Path, page: Path) -> str:
-    """Return the path of the folder ``pictures`` relative to the HTML file ``page``."""
-    return Path(os.path.relpath(pictures, page.parent)).as_posix()
-
-
 def delivered(pick: PickRecord) -> bool:
     """Return whether an attempt delivered exactly one part."""
     return pick.outcome is GraspOutcome.DELIVERED
@@ -131,13 +126,24 @@ def _anchor(record: BinRecord, k: int) -> str:
     return f"bin-{record.index}-pick-{k}"
 
 
-def _figure(record: BinRecord, k: int, pick: PickRecord, pictures: str) -> str:
+def _figure(record: BinRecord, k: int, pick: PickRecord, pictures: PictureSource) -> str:
     classes = " ".join(f"is-{kind}" for kind in kinds(pick))
-    source = quote(f"{pictures}/{pick.picture}")
-    picture = f"<img alt='' loading='lazy' src='{source}'>" if pick.picture else "<p>no picture</p>"
     stage = "" if pick.failure_attribution is None else " " + tag(f"failed at {pick.failure_attribution}", "idle")
     caption = f"{tag(title(pick), colour(pick))}{stage} bin {record.index}, decision {k}{_facts(record, pick)}"
-    return f"<figure id='{_anchor(record, k)}' class='{classes}'>{picture}<figcaption>{caption}</figcaption></figure>"
+    shown = figure(pictures.source(pick.picture), caption, _alt(record, k, pick))
+    return shown.replace("<figure>", f"<figure id='{_anchor(record, k)}' class='{classes}'>", 1)
+
+
+def _alt(record: BinRecord, k: int, pick: PickRecord) -> str:
+    """Return what a decision's picture shows, in words."""
+    of = f"bin {record.index}, decision {k}"
+    if pick.outcome is None:
+        return f"{of}: the whole bin from above with all candidates; no attempt, {title(pick)}"
+    candidate = record.candidate(pick)
+    pose = (
+        "" if candidate is None else f", {'correct' if candidate.right else 'wrong'} pose, {candidate_words(candidate)}"
+    )
+    return f"{of}: the grasp from above, with the jaw and the outline of the pose{pose}; {title(pick)}"
 
 
 def _facts(record: BinRecord, pick: PickRecord) -> str:
@@ -145,7 +151,7 @@ def _facts(record: BinRecord, pick: PickRecord) -> str:
     if candidate is None:
         frame = record.frame(pick.frame_id)
         return "" if frame is None else f", {len(frame.candidates)} candidates"
-    return f"<br>{candidate_words(candidate)}"
+    return f"<br>{escape(candidate_words(candidate))}"
 
 
 def candidate_words(candidate: CandidateRecord) -> str:
@@ -153,7 +159,7 @@ def candidate_words(candidate: CandidateRecord) -> str:
     part = "no part" if candidate.part < 0 else f"part {candidate.part}"
     facts = [part, f"score {number(candidate.score, 2)}"]
     if candidate.translation is not None and candidate.rotation is not None:
-        facts.append(f"off by {1000 * candidate.translation:.1f} mm, {np.degrees(candidate.rotation):.1f}°")
+        facts.append(f"off by {fine(1000 * candidate.translation)} mm, {fine(float(np.degrees(candidate.rotation)))}°")
     if candidate.overlap is not None:
         facts.append(f"segment IoU {percent(candidate.overlap)}")
     return ", ".join(facts)

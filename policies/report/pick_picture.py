@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from perception.pipeline import Perception
 
 CROP = 0.17  # side of the square that is shown around a grasp [m]
-CROP_PX = 360  # side of a picture [px]
+CROP_PX = 640  # side of a picture [px]
+_STROKE = 2  # width of a thin line [px]
 BIN_MARGIN = 0.02  # width of the margin around the bin where all of it is shown [m]
 Picture = NDArray[np.uint8]
 Point = tuple[float, float, float]
@@ -66,9 +67,9 @@ class Crop:
             cv2.circle(self.picture, centre, radius, colour, cv2.FILLED)
 
     def strokes(self, ends: Floats, colour: Colour, thickness: int = 1) -> None:
-        """Draw S strokes between (S, 2, 2) pixels (u, v) of the frame."""
+        """Draw S strokes between (S, 2, 2) pixels (u, v) of the frame; thickness 1 is the thinnest line."""
         fixed = np.rint((self.scale * ends + self._shift) * (1 << _FRACTION)).astype(np.int32)
-        cv2.polylines(self.picture, list(fixed), False, colour, thickness, cv2.LINE_AA, _FRACTION)
+        cv2.polylines(self.picture, list(fixed), False, colour, _STROKE * thickness, cv2.LINE_AA, _FRACTION)
 
     def jaw(self, grasp: GraspCandidate) -> None:
         """Draw the open jaw (thin), the closed jaw (thick) and the last 5 cm of the approach."""

@@ -1,18 +1,24 @@
-"""``report.html``: the numbers, every bin and every decision, with the pictures in the folder beside the page."""
+"""``report.html``: the numbers, every bin and every decision, on one page that holds its pictures."""
 
-from collections.abc import Sequence
+import base64
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
+from binpick_env.config import GRIPPER_STROKE, CellConfig
 from binpick_env.jobs.report_style import bars, figure, page, table, tag, tile
-from binpick_env.jobs.text_tables import number, percent, spread
+from binpick_env.jobs.text_tables import fine, number, percent, spread
 from perception.runtime.files import write_atomically
-from policies.evaluation.conditions import conditions
+from policies.evaluation.conditions import GIVEN, conditions, flat_settings, given_numbers
 from policies.evaluation.records import BinRecord, PickRecord
 from policies.evaluation.statistics import Interval, Rate
 from policies.evaluation.summary import Summary
 from policies.grasping.outcomes import GraspOutcome
-from policies.report.gallery import FAILED_AT, colour, gallery_section, linked_bars, relative_folder, strip, title
+from policies.report.bin_map import undelivered_section, undelivered_words
+from policies.report.gallery import FAILED_AT, colour, gallery_section, linked_bars, strip, title
+from policies.report.pick_csv import picks_csv
+from policies.report.picture_source import PictureSource
 
 COLUMNS = (
     "#",
@@ -30,17 +36,25 @@ COLUMNS = (
 _ENDS = {"empty": "emptied", "2F": "two failures in a row", "abstained": "nothing left to try", "time": "out of time"}
 
 
-def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pictures: Path) -> None:
-    """Write the page in one piece.
+def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pictures: Path) -> list[str]:
+    """Write the page in one piece, with its pictures and all picks as CSV inside.
+
+    A page of 20 bins of 25 parts has some 10 MB; beyond 20 MB the last pictures, those of deliveries, are linked.
 
     Args:
         path: Path of the HTML file.
         summary: Numbers of the evaluation.
         records: Records of all bins, in order.
         pictures: Folder of the records' pictures.
+
+    Returns:
+        Names of the pictures that are not inside the page.
     """
     config = summary.config
     part = Path(config["part"]).name
+    source = PictureSource(pictures, path)
+    bins = "".join(_bin(record, source) for record in records)  # first, so that their pictures are inside
+    gallery = gallery_section(records, source)
     sections = [
         f"<h1>Bin picking: {escape(part)}</h1>",
         f"<p>{summary.bins} bins of {config['num_parts'][0]} to {config['num_parts'][1]} parts · "
@@ -49,11 +63,20 @@ def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pic
         _headline(summary),
         _perception(summary),
         _outcomes(summary),
-        gallery_section(records, relative_folder(pictures, path)),
-        "<h2>Bins</h2>" + "".join(_bin(record, pictures) for record in records),
+        undelivered_section(records, config),
+        gallery,
+        f"<h2>Bins</h2>{_csv_link(records)}{bins}",
+        _settings(config),
         _provenance(summary),
     ]
+    if source.linked:
+        sections.insert(
+            1,
+            f"<p>{len(source.linked)} pictures of deliveries are files beside this page: it would be too large to mail "
+            "with them. <code>--zip</code> packs all into one file.</p>",
+        )
     write_atomically(path, page(f"binpick: {part}", "".join(sections)))
+    return source.linked
 
 
 def _headline(summary: Summary) -> str:
@@ -62,7 +85,13 @@ def _headline(summary: Summary) -> str:
     mpph, motion = summary.intervals["mpph"], summary.intervals["motion_dph"]
     tiles = [
         _rate_tile("GSR · grasp success", summary.gsr_rate, "attempts"),
-        _rate_tile("DR · bin emptied", summary.dr_rate, "parts"),
+        _rate_tile("DR · parts delivered", summary.dr_rate, "parts"),
+        _perception_tile(
+            summary, "recognition · poses right", "candidate_pose_accuracy", f"of {summary.candidates} candidates"
+        ),
+        _perception_tile(
+            summary, "recall · parts found", "candidate_recall", f"of {summary.parts_to_find} half visible, all frames"
+        ),
         tile("MPPH · picks per hour", number(summary.mpph, 0), f"95 %: {spread(mpph)} · {parts}"),
         tile("per hour of motion alone", number(summary.motion_dph, 0), f"95 %: {spread(motion)}"),
     ]
@@ -77,27 +106,41 @@ def _rate_tile(name: str, rate: Rate, of: str) -> str:
 
 def _perception(summary: Summary) -> str:
     """Return the numbers of perception on the same frames."""
-
-    def interval_tile(name: str, key: str, note: str) -> str:
-        value, interval = getattr(summary, key), summary.intervals[key]
-        bounds = None if value is None or interval is None else (*interval, value)
-        return tile(name, percent(value), f"{note}{_spread(interval)}", bounds)
-
-    ap = f"AP50 {number(summary.ap50, 3)}, AP75 {number(summary.ap75, 3)}"
-    error = f"median {number(summary.pose_error['mm'], 1)} mm, {number(summary.pose_error['deg'], 1)}°"
+    error = f"{fine(summary.pose_error['mm'])} mm, {fine(summary.pose_error['deg'])}°"
+    given = _given_note(summary, "pose_error")
     tiles = [
-        interval_tile("AP · segmentation", "ap", ap),
-        interval_tile(
-            "recognition · poses right", "candidate_pose_accuracy", f"of {summary.candidates} candidates · {error}"
+        _perception_tile(
+            summary, "AP · segmentation", "ap", f"AP50 {percent(summary.ap50)}, AP75 {percent(summary.ap75)}"
         ),
-        interval_tile("precision · of candidates", "candidate_precision", "each part once"),
-        interval_tile("recall · parts half visible", "candidate_recall", f"of {summary.parts_to_find}, frame by frame"),
+        _perception_tile(summary, "precision · of candidates", "candidate_precision", "each part once"),
+        tile("pose errors · medians", GIVEN if given else error, f"{given} · {error}" if given else "at the centre"),
     ]
     stages = ", ".join(f"{name} {ms:.0f}" for name, ms in summary.perception_ms.items())
     note = f"{summary.frames} frames that decisions were made on" + (
         f"; a frame's medians [ms]: {stages}" if stages else ""
     )
     return f"<h2>Perception in the same bins</h2><p>{note}.</p><div class='grid tiles'>{''.join(tiles)}</div>"
+
+
+def _perception_tile(summary: Summary, name: str, key: str, note: str) -> str:
+    """Return a tile of a number of perception; one that the ground truth determined is labelled as given."""
+    value, interval = getattr(summary, key), summary.intervals[key]
+    if given := _given_note(summary, key):
+        return tile(name, GIVEN, given if value is None else f"{given} · {percent(value)} {note}")
+    bounds = None if value is None or interval is None else (*interval, value)
+    return tile(name, percent(value), f"{note}{_spread(interval)}", bounds)
+
+
+def _given_note(summary: Summary, key: str) -> str:
+    """Return why a number was not measured; "" if it was."""
+    perception = summary.config["perception"]
+    if key not in given_numbers(perception):
+        return ""
+    return (
+        "not measured: true segments"
+        if perception == "gt_masks"
+        else "not measured: true poses, noise added if asked for"
+    )
 
 
 def _spread(interval: Interval | None) -> str:
@@ -128,7 +171,7 @@ def _outcomes(summary: Summary) -> str:
     return f"<h2>Outcomes and causes</h2><div class='grid two'>{left}{right}</div>"
 
 
-def _bin(record: BinRecord, pictures: Path) -> str:
+def _bin(record: BinRecord, pictures: PictureSource) -> str:
     facts = (
         f"seed {record.seed} · {record.delivered} of {record.parts_total} delivered, {record.lost} lost · "
         f"{_ENDS[record.termination]} · "
@@ -136,12 +179,17 @@ def _bin(record: BinRecord, pictures: Path) -> str:
     )
     views = ""
     if record.before or record.after:
-        pair = [figure(pictures / record.before, "settled"), figure(pictures / record.after, "at the end")]
+        remaining = record.parts_total - record.delivered - record.lost
+        seen = ((record.before, "settled", record.parts_total), (record.after, "at the end", remaining))
+        pair = [
+            figure(pictures.source(name), when, f"bin {record.index} {when}: {parts} parts, seen from the tray's side")
+            for name, when, parts in seen
+        ]
         views = f"<div class='grid two'>{''.join(pair)}</div>"
     rows = [_row(k, pick) for k, pick in enumerate(record.picks)]
     attempts = f"<details><summary>{len(rows)} decisions</summary>{table(COLUMNS, rows, words=(1, 2))}</details>"
     head = f"<h3>Bin {record.index} <span>{facts}</span></h3>"
-    return f"<div class='card bin'>{head}{views}{strip(record)}{attempts}</div>"
+    return f"<div class='card bin'>{head}{views}{strip(record)}{undelivered_words(record)}{attempts}</div>"
 
 
 def _row(k: int, pick: PickRecord) -> list[str]:
@@ -161,6 +209,31 @@ def _row(k: int, pick: PickRecord) -> list[str]:
         *times,
         str(pick.frame_id),
     ]
+
+
+def _csv_link(records: Sequence[BinRecord]) -> str:
+    data = base64.b64encode(picks_csv(records).encode()).decode()
+    return f"<p><a download='picks.csv' href='data:text/csv;charset=utf-8;base64,{data}'>All decisions as CSV</a></p>"
+
+
+def _settings(config: Mapping[str, Any]) -> str:
+    """Return every setting of cell, camera and picker in one table."""
+    cell = CellConfig()
+    standard = {"bin": cell.bin.inner_size, "jaw": GRIPPER_STROKE, "friction": cell.contact.friction[0]}
+    values = {name: standard.get(name) if value is None else value for name, value in config.items()}
+    rows = [[escape(name), f"<code>{escape(_words(value))}</code>"] for name, value in flat_settings(values).items()]
+    note = "Lengths in m, angles in rad, times in s, unless a name says otherwise."
+    shown = table(("setting", "value"), rows, words=(0, 1))
+    return (
+        f"<h2>The cell's settings</h2><div class='card'><p>{note}</p>"
+        f"<details><summary>{len(rows)} settings</summary>{shown}</details></div>"
+    )
+
+
+def _words(value: Any) -> str:
+    if value is None:
+        return "default"
+    return " x ".join(f"{each}" for each in value) if isinstance(value, list | tuple) else f"{value}"
 
 
 def _provenance(summary: Summary) -> str:

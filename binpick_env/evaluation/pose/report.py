@@ -122,7 +122,10 @@ def _scene(score: PoseSceneScore, folder: Path, edges: SeenEdges) -> str:
         f"{len(given.correct)} verified poses wrong · {trials.sum()} of {len(trials)} trials recognised · "
         f"{score.groups} groups · {milliseconds(score.ms['total'])} ms"
     )
-    figures = "".join(inline_figure(panel.data, panel.kind, panel.name) for panel in pose_panels(record, score, edges))
+    figures = "".join(
+        inline_figure(panel.data, panel.kind, panel.name, f"scene {score.index}: {panel.name}")
+        for panel in pose_panels(record, score, edges)
+    )
     return (
         f"<div class='card bin'><h3>Scene {score.index} <span>{facts}</span></h3>"
         f"<div class='grid four'>{figures}</div></div>"

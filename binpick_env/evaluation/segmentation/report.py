@@ -106,7 +106,10 @@ def _scene(score: SceneScore, folder: Path) -> str:
         f"AP {share(score.ap)} · {right} of {wanted} parts found, {wrong} wrong predictions at IoU 0.5 · "
         f"{score.points} points · {score.ms['total']:.0f} ms"
     )
-    figures = "".join(inline_figure(panel.data, panel.kind, panel.name) for panel in scene_panels(record))
+    figures = "".join(
+        inline_figure(panel.data, panel.kind, panel.name, f"scene {score.index}: {panel.name}")
+        for panel in scene_panels(record)
+    )
     return (
         f"<div class='card bin'><h3>Scene {score.index} <span>{facts}</span></h3>"
         f"<div class='grid four'>{figures}</div></div>"

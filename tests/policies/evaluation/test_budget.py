@@ -4,6 +4,7 @@ import json
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -128,10 +129,15 @@ def test_a_job_ends_in_numbers_a_page_and_a_text(tmp_path: Path) -> None:
         text = conclude(records, CONFIG, job, html=html)
         assert (job.out / "report.html").exists() == html
         assert json.loads((job.out / "results.json").read_text())["bins"] == 2
-        assert text.splitlines()[-1 - html] == f"numbers   {job.out / 'results.json'}"
+        assert text.splitlines()[-2 - html] == f"numbers   {job.out / 'results.json'}"
+        assert text.splitlines()[-1] == f"picks     {job.out / 'picks.csv'}"
+        assert len((job.out / "picks.csv").read_text().splitlines()) == 1 + sum(len(r.picks) for r in records)
     text = conclude(records, CONFIG, job, numbers=tmp_path / "n.json", html=False)
-    assert text.endswith(f"numbers   {tmp_path / 'n.json'}")
+    assert f"numbers   {tmp_path / 'n.json'}" in text.splitlines()
     assert (tmp_path / "n.json").exists()
+    text = conclude(records, CONFIG, job, archive=True)
+    assert text.endswith(f"archive   {job.out / 'report.zip'}")
+    assert set(ZipFile(job.out / "report.zip").namelist()) == {"report.html", "picks.csv", "results.json"}
 
 
 def test_a_budget_ends_in_numbers_pages_and_a_text(tmp_path: Path) -> None:
@@ -148,6 +154,9 @@ def test_a_budget_ends_in_numbers_pages_and_a_text(tmp_path: Path) -> None:
     for mode in MODES:
         assert (tmp_path / mode / "report.html").exists()
         assert json.loads((tmp_path / mode / "results.json").read_text())["config"]["perception"] == mode
+    conclude_budget(records, jobs, job, archive=True)
+    packed = {f"{mode}/{name}" for mode in MODES for name in ("report.html", "picks.csv")}
+    assert set(ZipFile(tmp_path / "report.zip").namelist()) == packed | {"budget.html", "budget.json"}
     text = conclude_budget(records, jobs, job, numbers=tmp_path / "n.json", html=False)
     assert text.endswith(f"numbers   {tmp_path / 'n.json'}")
     assert (tmp_path / "n.json").exists()

@@ -159,13 +159,24 @@ def test_failed_attempts_are_counted_by_stage_and_shown_beside_perception() -> N
     table = result_table(summary)
     assert "failed attempts by stage    segment" in table
     head = table.splitlines()[2:6]
-    assert [head[0].split("  ")[0], "recognition" in head[0], "picking success" in head[0]] == [
-        "segmentation AP",
-        True,
-        True,
+    assert head[0].split() == ["AP", "recognition", "recall", "GSR", "DR"]
+    # Beside what is right stands how much is found: half of the parts, and one of twenty delivered.
+    assert head[1].split() == ["–", "50.0", "%", "50.0", "%", "20.0", "%", "5.0", "%"]
+    assert [cell.strip() for cell in head[2].split("  ") if cell] == [
+        "segmentation",
+        "of 4 poses",
+        "of 4 parts",
+        "of 5 attempts",
+        "of 20 parts",
     ]
-    assert head[1].split() == ["–", "50.0", "%", "20.0", "%"]
-    assert "poses right of 4" in head[2]
+
+
+def test_what_the_ground_truth_gave_is_labelled_in_the_table(records: list[BinRecord]) -> None:
+    for perception, labelled in (("learned", 0), ("gt_masks", 1), ("oracle", 3)):
+        config = replace(CONFIG, perception=perception)
+        made = [replace(each, config_hash=config.digest()) for each in records]
+        head = result_table(summarise(made, config, np.random.default_rng(0))).splitlines()[3]
+        assert head.split().count("given") == labelled
 
 
 def test_columns_are_aligned() -> None:
