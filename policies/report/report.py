@@ -136,11 +136,7 @@ def _given_note(summary: Summary, key: str) -> str:
     perception = summary.config["perception"]
     if key not in given_numbers(perception):
         return ""
-    return (
-        "not measured: true segments"
-        if perception == "gt_masks"
-        else "not measured: true poses, noise added if asked for"
-    )
+    return "not measured: true segments" if perception == "gt_masks" else "not measured: true poses, with noise if any"
 
 
 def _spread(interval: Interval | None) -> str:

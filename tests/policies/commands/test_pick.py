@@ -87,7 +87,7 @@ def test_pick_runs_resumes_and_refuses_another_configuration(tmp_path: Path) -> 
     ):
         assert status in done.stderr
     assert film.stat().st_size > 1000
-    assert "src='./bin_0000_pick_00.webp'" in (out / "report.html").read_text()
+    assert "src='data:image/webp;base64," in (out / "report.html").read_text()
     assert (out / "bin_0000_pick_00.webp").stat().st_size < 40_000
     assert json.loads((out / "results.json").read_text())["ap"] > 0.5  # from pixels, of two parts
     made = (out / "bin_0000.json").stat().st_mtime_ns

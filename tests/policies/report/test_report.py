@@ -180,7 +180,7 @@ def test_every_picture_says_in_words_what_it_shows(report: Callable[..., str], t
 def test_what_the_ground_truth_gave_is_labelled(report: Callable[..., str], perception: Any, given: set[str]) -> None:
     text = report(attempt(MISSED), config=replace(CONFIG, perception=perception))
     tiles = dict(re.findall(r"<div class='card tile'><span>(\w+)[^<]*</span><b>([^<]*)</b>", text))
-    assert {name for name, value in tiles.items() if value == "given"} - {"precision"} == given
+    assert {name for name, value in tiles.items() if value == "given"} - {"precision", "pose"} == given
     assert tiles["DR"] == "0.0 %"
     assert ("not measured: true poses" in text) == (perception == "oracle")
 
