@@ -125,7 +125,7 @@ def test_a_file_is_said_as_it_was_read(
 
 @pytest.mark.slow
 def test_a_budget_picks_the_same_bins_three_ways(tmp_path: Path) -> None:
-    arguments = ["--budget", "--bins", "2", "--workers", "2", "--no-html", *TINY, "--out", str(tmp_path / "out")]
+    arguments = ["--budget", "--bins", "2", "--no-html", *TINY, "--out", str(tmp_path / "out")]
     done = run("pick", *arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "segmentation (gt_masks - learned)" in done.stdout

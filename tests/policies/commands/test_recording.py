@@ -50,7 +50,7 @@ def test_without_the_extra_the_error_names_it(
 def test_the_worker_that_picks_the_first_bin_records_it(tmp_path: Path) -> None:
     out, path = tmp_path / "out", tmp_path / "new" / "bin.rrd"
     seen = ["--perception", "learned", "--min-parts", "2", "--max-parts", "2", "--no-html", "--out", str(out)]
-    assert run("pick", "--bins", "2", "--seed", "31", "--workers", "2", *seen, cwd=tmp_path).returncode == 0
+    assert run("pick", "--bins", "2", "--seed", "31", "--workers", "1", *seen, cwd=tmp_path).returncode == 0
     before = [json.loads((out / f"bin_000{k}.json").read_text())["picks"] for k in range(2)]
     made = [(out / f"bin_000{k}.json").stat().st_mtime_ns for k in range(2)]
     recorded = [*seen, "--fresh", "--rerun", str(path)]
