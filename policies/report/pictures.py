@@ -13,7 +13,7 @@ from policies.evaluation.listeners import BinListener, Decision
 from policies.report.pick_picture import draw_decision, part_edges
 
 OVERVIEW = (640, 480)  # width and height [px]
-QUALITY = {".jpg": (cv2.IMWRITE_JPEG_QUALITY, 82), ".webp": (cv2.IMWRITE_WEBP_QUALITY, 80)}
+QUALITY = {".jpg": (cv2.IMWRITE_JPEG_QUALITY, 82), ".webp": (cv2.IMWRITE_WEBP_QUALITY, 60)}
 
 
 class Album(BinListener):

@@ -39,7 +39,7 @@ _ENDS = {"empty": "emptied", "2F": "two failures in a row", "abstained": "nothin
 def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pictures: Path) -> list[str]:
     """Write the page in one piece, with its pictures and all picks as CSV inside.
 
-    A page of 20 bins of 25 parts has some 10 MB; beyond 20 MB the last pictures, those of deliveries, are linked.
+    A bin of 25 parts takes 1 MB. Beyond 18 MB the last pictures, those of deliveries, are linked; see `PictureSource`.
 
     Args:
         path: Path of the HTML file.
