@@ -19,6 +19,7 @@ from perception.runtime.provenance import command_line, git_commit, versions
 from perception.runtime.threads import one_core
 from policies.grasping.outcomes import Abstention, GraspOutcome
 from policies.selection.env import ABSTAINED
+from policies.selection.learning.checkpoint import load_checkpoint
 from policies.selection.learning.experience import Cells
 from policies.selection.learning.policy import SelectorPolicy
 from policies.selection.learning.record_keys import PPO_KEYS, with_former_keys, without_former_keys
@@ -184,8 +185,7 @@ def _monitored(cells: Cells) -> Monitor:
 
 def _model(config: PpoConfig, vector: VecEnv, out: Path, initial: Path | None) -> MaskablePPO:
     if (out / CHECKPOINT).exists():
-        resumed: MaskablePPO = MaskablePPO.load(out / CHECKPOINT, env=vector, tensorboard_log=str(out / "tensorboard"))
-        return resumed
+        return load_checkpoint(out / CHECKPOINT, vector, out / "tensorboard")
     network = config.network
     start = load_selector_net(initial) if initial is not None else None
     model = MaskablePPO(

@@ -1,8 +1,12 @@
 """MaskablePPO on a toy where the answer is known: what it learns, resumes and records."""
 
 import json
+import sys
+import zipfile
+from base64 import b64decode
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -10,12 +14,14 @@ import torch
 
 from policies.selection.learning.bandit import BanditConfig
 from policies.selection.learning.bandit_run import train_bandit
-from policies.selection.learning.ppo import CONFIG, PpoConfig, TrainingError, train_ppo
+from policies.selection.learning.experience import Cells
+from policies.selection.learning.policy import SelectorPolicy
+from policies.selection.learning.ppo import CHECKPOINT, CONFIG, PpoConfig, TrainingError, train_ppo
 from policies.selection.learning.record_keys import PPO_KEYS
 from policies.selection.network import SelectorNet, SelectorNetConfig
 from policies.selection.selectors import LearnedSelector, RandomSelector
 from policies.selection.weights import load_selector_record, save_selector
-from tests.policies.selection.learning.toy_selection import CELLS, SMALL_NET, attempt_log, success
+from tests.policies.selection.learning.toy_selection import CELLS, SMALL_NET, attempt_log, success, toy
 
 TINY = PpoConfig(network=SMALL_NET, n_steps=32, batch_size=16)
 
@@ -63,6 +69,25 @@ def test_a_training_of_an_older_version_is_resumed(tmp_path: Path, toys: None) -
     (tmp_path / CONFIG).write_text(json.dumps({"ppo": {**older, "discount": 0.5}, "cells": noted["cells"]}))
     with pytest.raises(TrainingError, match="holds a training of another configuration"):
         train_ppo(TINY, CELLS, tmp_path, 64)
+
+
+def test_a_checkpoint_that_names_former_modules_is_resumed(tmp_path: Path, toys: None, monkeypatch: Any) -> None:
+    """Checkpoints of version 0.1.0 hold classes of `policies.selector_policy` and `policies.selector_net`."""
+    for former, kept in (("selector_policy", SelectorPolicy), ("selector_net", SelectorNetConfig)):
+        module = ModuleType(f"policies.{former}")
+        setattr(module, kept.__name__, kept)
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        monkeypatch.setattr(kept, "__module__", module.__name__)
+    path = train_ppo(TINY, CELLS, tmp_path, 32)
+    monkeypatch.undo()
+    monkeypatch.setattr(Cells, "environment", toy)
+    with zipfile.ZipFile(tmp_path / CHECKPOINT) as file:
+        stored = json.loads(file.read("data"))
+    assert b"policies.selector_policy" in b64decode(stored["policy_class"][":serialized:"])
+    assert b"policies.selector_net" in b64decode(stored["policy_kwargs"][":serialized:"])
+    train_ppo(TINY, CELLS, tmp_path, 64)
+    assert load_selector_record(path)["picks"] == 64
+    assert "policies.selector_policy" not in sys.modules
 
 
 def test_the_number_of_environments_may_change(tmp_path: Path, toys: None, monkeypatch: pytest.MonkeyPatch) -> None:
