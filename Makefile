@@ -4,6 +4,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt
 JOBS ?= 2
+# A file's tests run in one process, which builds the file's cells once.
+DIST := --dist loadfile --no-loadscope-reorder
 BENCH ?= cell
 ARGS ?=
 
@@ -36,10 +38,10 @@ pick: $(VENV)/.run-stamp  ## install, and run the main job on two bins of tees
 	$(BIN)/binpick pick --part tee --bins 2 $(ARGS)
 
 test: $(VENV)/.dev-stamp  ## install, and run every test
-	$(BIN)/python -m pytest -n $(JOBS) $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) $(DIST) $(ARGS)
 
 test-fast: $(VENV)/.dev-stamp  ## the tests that take less than 3 minutes together
-	$(BIN)/python -m pytest -n $(JOBS) -m 'not slow' $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) $(DIST) -m 'not slow' $(ARGS)
 
 lint: $(VENV)/.dev-stamp  ## ruff, and the direction of the imports
 	$(BIN)/ruff check .
