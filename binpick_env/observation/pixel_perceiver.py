@@ -23,7 +23,7 @@ from perception.pose.pose_estimate import PoseEstimate
 from perception.runtime.threads import use_threads
 from perception.segmentation.grouping.similarity import GroupingConfig
 
-LIKELY = 0.5  # smallest score of a pose that is offered where none is verified: more likely right than wrong
+LIKELY = 0.5  # smallest score of a pose that becomes a candidate where none is verified: more likely right than wrong
 MIN_POINTS = GroupingConfig().min_points  # smallest number of points of a true segment; the network's is the same
 _log = logging.getLogger(__name__)
 _warmed_up: set[str] = set()  # perception modes whose kernels this process has loaded
@@ -32,7 +32,7 @@ _warmed_up: set[str] = set()  # perception modes whose kernels this process has 
 class PixelPerceiver:
     """Turns verified poses into candidates. Ground truth is read only to name their parts, for reports.
 
-    Where no pose is verified, the likely ones are offered: the last part of a bin is not given up for a doubt.
+    Where no pose is verified, the likely ones become candidates, so that the last part of a bin can still be picked.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ class Arguments(CellArguments):
 
     Every bin is saved as soon as it is finished: the same command resumes where it was stopped. These options make
     bins hard: --part bracket --min-parts 30 --max-parts 30 --sensor harsh --hand-eye-mm 10. The selector hindsight
-    tries the grasps on offer from the same state until one delivers. It is an upper bound for the others, and needs
+    tries the grasp candidates from the same state until one delivers. It is an upper bound for the others, and needs
     several attempts per decision.
     """
 
@@ -66,7 +66,7 @@ def run(args: Arguments) -> int:
     """Compare; return the exit code."""
     from policies.evaluation.bin_evaluation import BinError
 
-    stopped = "stopped; finished bins are kept: the same command goes on from there"
+    stopped = "stopped; finished bins are kept: the same command resumes there"
     return exit_code(lambda: _compare(args), (BinError, ValueError, OSError), stopped)
 
 
@@ -75,6 +75,7 @@ def _compare(args: Arguments) -> str:
 
     from policies.evaluation.conditions import conditions
     from policies.selection.evaluation import (
+        check_comparable,
         compare_selectors,
         evaluate_selectors,
         save_selector_results,
@@ -82,6 +83,7 @@ def _compare(args: Arguments) -> str:
     )
 
     config, job = args.config(), args.job()
+    check_comparable(args.selectors)
     config.check()
     with tqdm(total=args.bins * len(args.selectors), unit="bin", smoothing=0) as bar:
 

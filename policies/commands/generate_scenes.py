@@ -57,7 +57,7 @@ def run(args: Arguments) -> int:
     from binpick_env.cell.settle import SettleError
     from binpick_env.jobs.process_map import WorkerError
 
-    stopped = f"stopped; finished scenes are kept in {args.folder()}: the same command goes on from there"
+    stopped = f"stopped; finished scenes are kept in {args.folder()}: the same command resumes there"
     return exit_code(lambda: _generate(args), (ValueError, OSError, SettleError, WorkerError), stopped)
 
 

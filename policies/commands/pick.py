@@ -90,7 +90,7 @@ def run(args: Arguments) -> int:
     from policies.evaluation.bin_evaluation import BinError
 
     kept = f"finished bins are kept in {args.folder()}"
-    stopped = f"stopped; {kept}: the same command goes on from there"
+    stopped = f"stopped; {kept}: the same command resumes there"
     return exit_code(lambda: _pick(args), (BinError, ValueError, OSError, ModuleNotFoundError), stopped)
 
 

@@ -156,7 +156,7 @@ def run(args: Arguments) -> int:
     from binpick_env.jobs.process_map import WorkerError
     from perception.segmentation.training.loop import TrainingError
 
-    stopped = "stopped; finished rooms are kept: the same command goes on from there"
+    stopped = "stopped; finished rooms are kept: the same command resumes there"
     return exit_code(args.work, (ValueError, OSError, WorkerError, TrainingError), stopped)
 
 

@@ -48,7 +48,7 @@ def run(args: Arguments) -> int:
     from binpick_env.jobs.process_map import WorkerError
     from perception.segmentation.training.loop import TrainingError
 
-    stopped = f"stopped; the same command goes on from {args.out}"
+    stopped = f"stopped; the same command resumes from {args.out}"
     return exit_code(lambda: _table(args), (ValueError, OSError, WorkerError, TrainingError), stopped)
 
 

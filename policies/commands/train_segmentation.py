@@ -90,7 +90,7 @@ def run(args: Arguments) -> int:
     """Train; return the exit code."""
     from perception.segmentation.training.loop import TrainingError
 
-    stopped = f"stopped; the same command goes on from {args.folder()}"
+    stopped = f"stopped; the same command resumes from {args.folder()}"
     return exit_code(lambda: _train(args), (ValueError, OSError, TrainingError), stopped)
 
 
@@ -127,7 +127,7 @@ def _train_at(args: Arguments, place: "Place") -> str | None:
         sources=sources, out=out, parts=names, initial=args.initial, evaluate_every=args.evaluate_every, leader=leader
     )
     if resume(trainer, run) and leader:
-        print(f"goes on from step {trainer.step}, {trainer.elapsed / 60:.1f} minutes")
+        print(f"resuming at step {trainer.step}, {trainer.elapsed / 60:.1f} minutes")
     with TrainingDisplay(out, args.tensorboard, leader) as display:
         last = train(trainer, validation, run, display.on_step, display.on_line)
     return _deliver(args, out, last) if leader else None

@@ -60,7 +60,7 @@ class Bandit(Common):
     epsilon: float = 0.3  # share of the choices that are random, in [0, 1]
     tries: int = 1  # number of attempts from each state; all but the chosen one are random, and are undone
     hidden: int = 64  # number of units in each layer of the network; 0 is logistic regression
-    context: bool = True  # whether a grasp's score depends on the other grasps on offer
+    context: bool = True  # whether a grasp's score depends on the other candidates
     features: tuple[str, ...] = ()  # names of the observation's columns that the network uses; all unless given
     # delivery, or choice: compare attempts from one state, which needs --tries
     loss: Literal["delivery", "choice"] = "delivery"

@@ -1,7 +1,7 @@
 """Evaluation of selectors: all pick the same bins, and their deliveries are compared bin by bin."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -124,9 +124,7 @@ def compare_selectors(records: Records, seed: int = 0) -> tuple[str, dict[str, S
     Raises:
         ValueError: There is no heuristic among the selectors, or their bins differ.
     """
-    heuristics = [name for name in records if name in SELECTORS]
-    if not heuristics:
-        raise ValueError(f"a heuristic is needed to compare with: one of {', '.join(SELECTORS)}")
+    heuristics = _heuristics(records)
     if len({tuple(record.seed for record in own) for own in records.values()}) > 1:
         raise ValueError("the selectors were not evaluated on the same bins")
     plain = {name: _result(own) for name, own in records.items()}
@@ -190,6 +188,26 @@ def save_selector_results(
     commits = sorted({record.git_commit for own in records.values() for record in own})
     facts |= {"command": command_line(), "git_commits": commits, "versions": versions()}
     write_atomically(path, json_text(facts))
+
+
+def check_comparable(specs: Sequence[str]) -> None:
+    """Refuse selectors that could be evaluated but not compared, before any bin is picked.
+
+    Args:
+        specs: Names of heuristics or of shipped selectors, paths to trained ones, or `HINDSIGHT`.
+
+    Raises:
+        ValueError: A selector is given twice or does not exist, or there is no heuristic among them.
+    """
+    _heuristics(selector_names(specs))
+
+
+def _heuristics(names: Iterable[str]) -> list[str]:
+    """Return the heuristics among names of selectors; there has to be one."""
+    found = [name for name in names if name in SELECTORS]
+    if not found:
+        raise ValueError(f"a heuristic is needed to compare with: one of {', '.join(SELECTORS)}")
+    return found
 
 
 def _result(records: Sequence[BinRecord]) -> SelectorResult:

@@ -1,4 +1,4 @@
-"""What is offered of full, nearly empty and empty bins by perceivers that work from pixels."""
+"""Candidates in full, nearly empty and empty bins by perceivers that work from pixels."""
 
 from pathlib import Path
 

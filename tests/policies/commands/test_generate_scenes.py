@@ -77,7 +77,7 @@ def test_generate_scenes_says_a_users_mistake_in_one_line(
 @pytest.mark.parametrize(
     ("fault", "code", "message"),
     [
-        (KeyboardInterrupt(), 130, "finished scenes are kept in {out}: the same command goes on from there"),
+        (KeyboardInterrupt(), 130, "finished scenes are kept in {out}: the same command resumes there"),
         (SettleError("30 parts do not come to rest"), 2, "error: 30 parts do not come to rest"),
         (WorkerError("a worker was killed"), 2, "error: a worker was killed"),
         (OSError("No space left on device"), 2, "error: No space left on device"),

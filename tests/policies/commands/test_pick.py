@@ -46,7 +46,7 @@ def test_ctrl_c_says_how_to_go_on(
 
     monkeypatch.setattr(jobs, "run_job", interrupted)
     assert pick.run(pick.Arguments(perception="oracle", out=tmp_path)) == 130
-    assert f"finished bins are kept in {tmp_path}: the same command goes on from there" in capsys.readouterr().err
+    assert f"finished bins are kept in {tmp_path}: the same command resumes there" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def test_ctrl_c_says_how_to_go_on(
 
     monkeypatch.setattr(raw_tree, "find_raw_rooms", interrupted)
     assert call("prepare", "--raw", tmp_path, "--out", tmp_path) == 130
-    assert "the same command goes on from there" in capsys.readouterr().err
+    assert "the same command resumes there" in capsys.readouterr().err
 
 
 @pytest.fixture

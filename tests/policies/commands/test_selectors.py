@@ -13,6 +13,7 @@ from binpick_env.observation.perception_noise import PerceptionNoise
 from binpick_env.options import CellOptions
 from policies.commands import check_fast, evaluate_selector, fit_noise, train_selector
 from policies.commands.command_line import parse
+from policies.evaluation.config import EvaluationConfig
 from policies.grasping.outcomes import GraspOutcome
 from policies.selection import env, fast_agreement
 from policies.selection.fast_agreement import PairedAttempt
@@ -101,6 +102,17 @@ def test_selectors_are_trained_and_evaluated(tmp_path: Path, capsys: pytest.Capt
     numbers = json.loads((kept / "selectors.json").read_text())
     assert len(numbers["selectors"]) == 3
     assert numbers["best_heuristic"] == "weighted"
+
+
+def test_selectors_that_cannot_be_compared_are_refused_before_a_bin_is_picked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(EvaluationConfig, "check", lambda self: pytest.fail("the cell is being built"))
+    assert call(evaluate_selector, "--selectors", "hindsight", "--out", tmp_path / "runs") == 2
+    assert "error: a heuristic is needed to compare with: one of random" in capsys.readouterr().err
+    assert call(evaluate_selector, "--selectors", "weighted", "nobody", "--out", tmp_path / "runs") == 2
+    assert "error: a selector must be one of random" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
 
 
 def _evaluation(arguments: list[str]) -> evaluate_selector.Arguments:

@@ -49,7 +49,7 @@ def test_one_network_for_two_parts_is_trained_installed_and_found(
     assert json.loads((tmp_path / "last.json").read_text())["validation"].keys() >= {"ap50", "ap75"}
     assert "installed" in capsys.readouterr().out
     assert call("--part", "nut", "bolt", "--steps", "2") == 0  # nothing is left to do
-    assert "goes on from step 2" in capsys.readouterr().out
+    assert "resuming at step 2" in capsys.readouterr().out
 
 
 def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
