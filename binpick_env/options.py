@@ -61,7 +61,7 @@ class CellOptions:
         floor = max(0.2, BinConfig().inner_size[2] if self.bin is None else self.bin[2])
         if not floor < self.camera_distance < np.inf:
             raise ValueError(
-                f"camera_distance must exceed 0.2 m and the bin's height: {floor} m, got {self.camera_distance}"
+                f"camera_distance must exceed {floor:g} m (0.2 m or the bin's height), got {self.camera_distance:g} m"
             )
         if not 0 <= self.hand_eye_mm <= MAX_HAND_EYE_MM:
             raise ValueError(f"hand_eye_mm must be from 0 to {MAX_HAND_EYE_MM:g} mm, got {self.hand_eye_mm}")

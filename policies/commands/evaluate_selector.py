@@ -30,7 +30,7 @@ class Arguments(CellArguments):
     selectors: tuple[str, ...] = HEURISTICS
     bins: int = 50  # number of bins
     seed: int = 0  # seed of all bins; bin i is drawn from (seed, i)
-    # where poses come from: pixels, true segments, or the true poses of visible parts
+    # learned: everything from pixels; gt_masks: true segments; oracle: true poses of visible parts
     perception: Perception = "learned"
     min_parts: int = 20  # smallest number of parts in a bin
     max_parts: int = 30  # largest number of parts in a bin

@@ -30,7 +30,7 @@ class Arguments(CellArguments):
 
     bins: int = 10  # number of bins
     seed: int = 0  # seed of all bins; bin i is drawn from (seed, i)
-    # where poses come from: pixels, true segments, or the true poses of visible parts
+    # learned: everything from pixels; gt_masks: true segments; oracle: true poses of visible parts
     perception: Perception = "learned"
     budget: bool = False  # pick the same bins with all three kinds of perception and compare them
     workers: int = 1  # number of processes, each on one core

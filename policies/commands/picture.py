@@ -1,22 +1,23 @@
 """``binpick picture``: a settled bin with the arm over it, or what perception makes of a frame."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from policies.commands.cell_arguments import PartArguments, scenes_of
+from policies.commands.cell_arguments import CellArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from binpick_env.options import CellOptions
     from binpick_env.scenes.synthesis import SceneConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(PartArguments):
+class Arguments(CellArguments):
     """Draw a settled bin with the arm over it, or a frame with its segments or poses.
 
     No GL driver is needed.
@@ -25,15 +26,25 @@ class Arguments(PartArguments):
     # the cell, or a frame with true and predicted segments, or a frame with poses
     show: Literal["cell", "segmentation", "poses"] = "cell"
     seed: int = 0  # seed of the pile
-    width: int = 1200  # width of the picture of the cell [px]
-    height: int = 800  # height of the picture of the cell [px]
+    width: int = 0  # width of the picture [px]; 0 takes 1200 for the cell and 1280 for a frame
+    height: int = 0  # height of the picture [px]; 0 takes 800 for the cell and 960 for a frame
     out: Path | None = None  # PNG file; docs/SHOW.png unless given
+
+    def size(self) -> tuple[int, int]:
+        """Return width and height of the picture [px]."""
+        width, height = (1200, 800) if self.show == "cell" else (1280, 960)
+        return self.width or width, self.height or height
+
+    def options(self) -> "CellOptions":
+        """Return the options of the cell, whose camera takes frames of the picture's size."""
+        width, height = self.size()
+        return super(Arguments, replace(self, width=width, height=height)).options()
 
     def scenes(self) -> "SceneConfig":
         """Return the scenes, the first of which is drawn."""
         from binpick_env.scenes.synthesis import SceneConfig
 
-        return SceneConfig(**scenes_of(self.options()), seed=self.seed)
+        return SceneConfig(**scenes_of(self.options()), sensor=self.sensor, seed=self.seed)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -50,7 +61,7 @@ def _draw(args: Arguments) -> str:
     from policies.report.portrait import cell_picture, save_png
 
     if args.show == "cell":
-        picture = cell_picture(args.options(), args.seed, args.width, args.height)
+        picture = cell_picture(args.options(), args.seed, *args.size())
     else:
         picture = (_segmentation if args.show == "segmentation" else _poses)(args.scenes())
     out = args.out or Path("docs") / f"{args.show}.png"

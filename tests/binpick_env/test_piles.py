@@ -7,8 +7,8 @@ from binpick_env.config import CameraConfig
 from binpick_env.env import BinPickEnv
 from binpick_env.parts import CATALOGUE
 
-BINS = 5
-NOISE = 0.06  # of a share of some 120 parts, which are not independent within a bin
+BINS = 8
+NOISE = 0.06  # of a share of some 200 parts, which are not independent within a bin
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """`binpick`: the list of commands, their help, and what it may load."""
 
 import logging
+import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
@@ -165,3 +166,14 @@ def test_what_the_packages_log_is_printed_above_a_progress_bar(
 
 def test_the_heuristics_that_are_compared_are_all_that_there_are() -> None:
     assert tuple(SELECTORS) == HEURISTICS
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    """Like `binpick pick --help | head -1`."""
+    code = "import sys; from policies.commands.main import main; sys.exit(main(['pick', '--help']))"
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""

@@ -4,7 +4,18 @@ import cv2
 import numpy as np
 import pytest
 
+from policies.commands.picture import Arguments
 from tests.policies.commands.command_calls import run
+
+
+def test_every_option_of_the_cell_arrives_in_the_scenes() -> None:
+    args = Arguments(show="poses", sensor="harsh", camera_distance=1.1, friction=0.2, jaw=0.05, hand_eye_mm=2.0)
+    scenes = args.scenes()
+    assert (scenes.sensor, scenes.camera.distance, scenes.friction) == ("harsh", 1.1, 0.2)
+    assert (scenes.camera.width, scenes.camera.height) == (1280, 960)
+    assert (args.options().cell().robot.jaw, args.options().cell().camera.hand_eye) == (0.05, 0.002)
+    assert Arguments().size() == (1200, 800)
+    assert Arguments(width=150, height=100).size() == (150, 100)
 
 
 @pytest.mark.slow
