@@ -1,5 +1,6 @@
 """``binpick``: lists the commands, or runs the one that is named."""
 
+import os
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -38,7 +39,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     show_status()
     try:
-        return int(import_module(modules[typed]).main(options))
+        try:
+            return int(import_module(modules[typed]).main(options))
+        finally:  # here, where a reader that has gone can still be told apart; help ends in SystemExit
+            sys.stdout.flush()
+    except BrokenPipeError:  # as in `binpick pick --help | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the interpreter flushes once more at its end
+        return 1
     except KeyboardInterrupt:  # before the command's own work, which says how to resume it
         print("\nstopped", file=sys.stderr)
         return 130
