@@ -182,7 +182,10 @@ def record_path(folder: Path, index: int) -> Path:
 def save_record(record: BinRecord, folder: Path) -> Path:
     """Write ``record`` in one piece, or not at all, and return its path."""
     path = record_path(folder, record.index)
-    FORMAT.save_plain(path, asdict(record), indent=None)  # a line for every number would be half spaces
+    values = asdict(record)
+    for pick in values["picks"]:
+        pick["blame"] = pick["failure_attribution"]  # the previous name, for one version
+    FORMAT.save_plain(path, values, indent=None)  # a line for every number would be half spaces
     return path
 
 
@@ -215,7 +218,8 @@ def _undelivered(values: list[dict[str, Any]] | None) -> tuple[UndeliveredPart, 
 
 def _pick(values: dict[str, Any]) -> PickRecord:
     if "blame" in values:
-        values = {"failure_attribution" if name == "blame" else name: value for name, value in values.items()}
+        previous = values["blame"]
+        values = {"failure_attribution": previous} | {n: value for n, value in values.items() if n != "blame"}
     unknown = set(values) - {f.name for f in fields(PickRecord)}
     if unknown:
         raise RecordError(f"a pick has no field {', '.join(sorted(unknown))}")

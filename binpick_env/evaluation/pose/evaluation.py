@@ -4,6 +4,7 @@ import logging
 import os
 import time
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -54,6 +55,17 @@ class PoseEvaluationConfig:
     def settings(self) -> dict[str, Any]:
         """Return all settings as a dict; files are represented by their SHA-256."""
         return {**scene_settings(self.scenes), "method": self.method.settings()}
+
+    def plain(self) -> dict[str, Any]:
+        """Return the settings as results hold them: renamed ones have their previous names, too, for one version."""
+        plain = deepcopy(self.settings())
+        for previous, present in RENAMED.items():
+            *groups, name = previous.split(".")
+            group = plain
+            for each in groups:
+                group = group.setdefault(each, {})
+            group[name] = _flat(plain)[present]
+        return plain
 
     def load(self) -> PoseMethod:
         """Return the method with the models of the part in the bins."""

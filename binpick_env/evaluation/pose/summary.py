@@ -216,7 +216,7 @@ def summarise_poses(
         perception=method.perception,
         min_score=method.estimator.min_score,
         weights=None if method.network is None else weights_provenance(method.network),
-        config=config.settings(),
+        config=config.plain(),
         git_commits=sorted({score.git_commit for score in scores}),
     )
 

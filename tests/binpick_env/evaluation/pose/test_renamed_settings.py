@@ -38,3 +38,9 @@ def test_coefficients_have_the_previous_name_too() -> None:
     plain = plain_coefficients(ConfidenceConfig(score_drop=0.5))
     assert plain["firmness"] == plain["score_drop"] == 0.5
     assert set(plain) == {*vars(ConfidenceConfig()), "firmness"}
+
+
+def test_results_hold_the_previous_names_too() -> None:
+    config = evaluation.PoseEvaluationConfig()
+    plain, settings = evaluation._flat(config.plain()), evaluation._flat(config.settings())
+    assert plain == settings | {old: settings[new] for old, new in evaluation.RENAMED.items()}
