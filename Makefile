@@ -40,7 +40,7 @@ pick: $(VENV)/.run-stamp  ## install, and run the main job on two bins of tees
 test: $(VENV)/.dev-stamp  ## install, and run every test
 	$(BIN)/python -m pytest -n $(JOBS) $(DIST) $(ARGS)
 
-test-fast: $(VENV)/.dev-stamp  ## the tests that take less than 3 minutes together
+test-fast: $(VENV)/.dev-stamp  ## the tests without long simulations, trainings and processes
 	$(BIN)/python -m pytest -n $(JOBS) $(DIST) -m 'not slow' $(ARGS)
 
 lint: $(VENV)/.dev-stamp  ## ruff, and the direction of the imports

@@ -59,12 +59,13 @@ class PoseEvaluationConfig:
     def plain(self) -> dict[str, Any]:
         """Return the settings as results hold them: renamed ones have their previous names, too, for one version."""
         plain = deepcopy(self.settings())
+        values = _flat(plain)
         for previous, present in RENAMED.items():
             *groups, name = previous.split(".")
             group = plain
             for each in groups:
                 group = group.setdefault(each, {})
-            group[name] = _flat(plain)[present]
+            group[name] = values[present]
         return plain
 
     def load(self) -> PoseMethod:
