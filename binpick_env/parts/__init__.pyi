@@ -1,5 +1,6 @@
 from .catalogue import CATALOGUE as CATALOGUE
 from .part import Part as Part
+from .part import generate_part as generate_part
 from .part import load_part as load_part
 from .pieces import PieceSettings as PieceSettings
 from .pieces import convex_pieces as convex_pieces

@@ -6,12 +6,12 @@ The part frame's origin is the volume's centroid, its axes are the natural ones 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
+from binpick_env.parts.design import Design, Solids
 from perception.geometry import Floats, make_transform, rotation_about
 from perception.part import Symmetry
 
@@ -19,26 +19,6 @@ from perception.part import Symmetry
 FACETS = 64
 PIECE_FACETS = 32  # facets of a full turn in the collision pieces: within 0.2 mm at 40 mm, and 64 vertices a cylinder
 X, Y, Z = np.eye(3)
-Solids = tuple[trimesh.Trimesh, ...]
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Design:
-    """A part as drawn, or as read from a file.
-
-    Attributes:
-        name: Name of the part.
-        mesh: Watertight mesh in the part frame [m].
-        pieces: Convex bodies in the part frame [m]; those of a catalogue part are the mesh with its bores filled.
-        density: Density of the material [kg/m^3].
-        symmetry: Symmetry group about the origin, declared or detected.
-    """
-
-    name: str
-    mesh: trimesh.Trimesh
-    pieces: Solids
-    density: float
-    symmetry: Symmetry
 
 
 def design(name: str) -> Design:

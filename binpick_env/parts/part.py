@@ -1,4 +1,4 @@
-"""Parts as the simulation needs them, loaded by catalogue name or from a mesh file."""
+"""Parts as the simulation needs them, loaded by catalogue name, generated, or read from a mesh file."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -8,9 +8,12 @@ from typing import Literal
 import numpy as np
 import trimesh
 
-from binpick_env.parts.catalogue import CATALOGUE, Design, design
+from binpick_env.parts.catalogue import CATALOGUE, design
 from binpick_env.parts.density import FILE_DENSITY, check_density
-from binpick_env.parts.mesh_file import read_mesh
+from binpick_env.parts.design import Design
+from binpick_env.parts.families.generator import generated_design
+from binpick_env.parts.families.names import GeneratedName, is_generated, parse_name
+from binpick_env.parts.mesh_file import D_MAX, read_mesh
 from binpick_env.parts.pieces import convex_pieces
 from binpick_env.parts.symmetry import detect_symmetry
 from binpick_env.parts.unit import Unit, check_unit
@@ -30,8 +33,8 @@ class Part:
         density: Density of the material [kg/m^3].
         mass: Mass [kg].
         inertia: (3, 3) inertia tensor about ``model.centre``, part axes [kg m^2].
-        source: Catalogue name, or absolute path of the file.
-        unit: Unit of the file's coordinates, given or guessed; "m" for a catalogue part.
+        source: Name of a catalogue part or a generated part, or absolute path of the file.
+        unit: Unit of the file's coordinates, given or guessed; "m" for a part without a file.
     """
 
     model: PartModel
@@ -50,26 +53,28 @@ def load_part(
     symmetry: SymmetryChoice = "detect",
     density: float | None = None,
 ) -> Part:
-    """Load a part by its catalogue name or from an STL, OBJ or PLY file.
+    """Load a part by its catalogue name, generate one, or read an STL, OBJ or PLY file.
 
     The part frame keeps the axes of the drawing; its origin is moved to the volume's centroid.
 
     Args:
-        name_or_path: One of ``CATALOGUE``, or a path to a mesh file.
+        name_or_path: One of ``CATALOGUE``, the name of a generated part such as ``generated:hex_bolt:17``, or a path to
+            a mesh file.
         unit: Unit of a file's coordinates. None takes metres or millimetres, whichever is plausible for a part.
-        symmetry: "detect" measures the group of a file's mesh (a catalogue part's is declared); "none" is the trivial
-            group.
-        density: Density of the material [kg/m^3]; None takes the catalogue's, or 2700 (aluminium) for a file.
+        symmetry: "detect" measures the group of a file's mesh (that of any other part is declared); "none" is the
+            trivial group.
+        density: Density of the material [kg/m^3]; None takes the part's own, or 2700 (aluminium) for a file.
 
     Returns:
-        The part; catalogue parts are built once per process.
+        The part. Catalogue parts and the last 32 generated ones are built once per process.
 
     Raises:
         ValueError: The name is unknown, the file is no watertight mesh of a part's size, or an argument is invalid.
         FileNotFoundError: The path does not exist.
 
     Note:
-        A catalogue part takes 0.1 s. A file takes seconds the first time, for its pieces, which are cached on disk.
+        A catalogue part or a generated part takes 0.1 s. A file takes seconds the first time, for its pieces, which are
+        cached on disk.
     """
     name = str(name_or_path)
     if unit is not None:
@@ -82,12 +87,32 @@ def load_part(
         if unit is not None:
             raise ValueError(f"unit belongs to mesh files; {name!r} is a catalogue part, in metres; got unit={unit!r}")
         return _catalogue_part(name, symmetry, density)
+    if is_generated(name):
+        if unit is not None:
+            raise ValueError(f"unit belongs to mesh files; {name!r} is a generated part, in metres; got unit={unit!r}")
+        return _generated_part(parse_name(name), symmetry, density)
     path = Path(name_or_path)
     if not path.suffix and not path.exists():
         raise ValueError(
-            f"part must be one of {', '.join(CATALOGUE)}, or a path to a .stl, .obj or .ply file, got {name!r}"
+            f"part must be one of {', '.join(CATALOGUE)}, generated:FAMILY:INDEX, or a path to a .stl, .obj or .ply "
+            f"file, got {name!r}"
         )
     return _file_part(path, unit, symmetry, density or FILE_DENSITY)
+
+
+def generate_part(family: str, index: int, d_max_range: tuple[float, float] = D_MAX) -> Part:
+    """Return a part of a family with random parameters; the same arguments give the same part.
+
+    Args:
+        family: Name of the family, one of ``binpick_env.parts.families.FAMILIES``.
+        index: Number of the part within its family, from 0 on.
+        d_max_range: Range from which ``d_max`` is drawn log-uniformly [m].
+
+    Raises:
+        ValueError: There is no such family, or no part of it has walls of 1 mm at such a size.
+    """
+    low, high = d_max_range
+    return load_part(str(GeneratedName(family=family, index=index, d_max_range=(low, high))))
 
 
 def resolve_part(part: str | Path | Part, unit: Unit | None, symmetry: SymmetryChoice, density: float | None) -> Part:
@@ -110,6 +135,13 @@ def _catalogue_part(name: str, symmetry: SymmetryChoice, density: float | None) 
     drawn = design(name)
     group = drawn.symmetry if symmetry == "detect" else _group(symmetry)
     return _assemble(replace(drawn, symmetry=group, density=density or drawn.density), source=name)
+
+
+@lru_cache(maxsize=32)
+def _generated_part(name: GeneratedName, symmetry: SymmetryChoice, density: float | None) -> Part:
+    drawn = generated_design(name)
+    group = drawn.symmetry if symmetry == "detect" else _group(symmetry)
+    return _assemble(replace(drawn, symmetry=group, density=density or drawn.density), source=str(name))
 
 
 def _file_part(path: Path, unit: Unit | None, symmetry: SymmetryChoice, density: float) -> Part:

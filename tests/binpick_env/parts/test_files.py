@@ -120,7 +120,8 @@ def test_a_part_too_wide_for_the_jaw_is_said(save: Callable[..., Path], caplog: 
 
 def test_an_unknown_name_lists_the_names() -> None:
     with pytest.raises(
-        ValueError, match=r"part must be one of part_a, part_b, part_c, tee, bracket, or a path .*'gear'"
+        ValueError,
+        match=r"part must be one of part_a, part_b, part_c, tee, bracket, generated:FAMILY:INDEX, or a path .*'gear'",
     ):
         load_part("gear")
 
