@@ -2,7 +2,6 @@
 
 import importlib
 import re
-import shlex
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -12,32 +11,7 @@ import pytest
 
 from policies.commands.command_line import parse
 from policies.commands.registry import COMMANDS
-
-ROOT = Path(__file__).resolve().parents[1]
-PAGES = [
-    ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
-    *sorted(p for p in (ROOT / "docs").rglob("*.md") if p.parent.name != "_generated"),
-]
-
-
-def name_of(path: Path) -> str:
-    return str(path.relative_to(ROOT))
-
-
-def blocks(path: Path, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", path.read_text(), flags=re.DOTALL)
-
-
-def command_lines(path: Path) -> list[list[str]]:
-    """Return the words of every line of a page's shell blocks that calls binpick."""
-    found = []
-    for block in blocks(path, "sh"):
-        for line in block.replace("\\\n", " ").splitlines():
-            words = shlex.split(line, comments=True)
-            if words and Path(words[0]).name == "binpick":
-                found.append(words[1:])
-    return found
+from tests.pages import PAGES, ROOT, command_lines, name_of
 
 
 class References(HTMLParser):

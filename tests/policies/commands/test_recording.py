@@ -5,18 +5,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from rerun.chunk import RrdReader
 
 from policies.commands import pick
 from tests.policies.commands.command_calls import TINY, run
-
-
-def rows_of(path: Path) -> dict[str, int]:
-    """Number of rows of each entity of a recording."""
-    rows: dict[str, int] = {}
-    for chunk in RrdReader(path).store().stream().to_chunks():
-        rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + chunk.num_rows
-    return rows
+from tests.rerun_rows import rows_of
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,246 @@
+"""What each command of the pages' shell lines must have printed and written, and options that make it quick."""
+
+import csv
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from perception.s3dis.presets import ROWS
+from perception.segmentation.scene import BoundaryScene
+from perception.segmentation.weights import SHIPPED, find_weights, load_record
+from policies.selection.selectors import load_selector
+from tests.rerun_rows import rows_of
+
+PARTS = 2  # in each bin and scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """A command line that was run.
+
+    Attributes:
+        args: Options that the command read, an instance of its ``Arguments``.
+        folder: Working directory.
+        shown: What it printed.
+    """
+
+    args: Any
+    folder: Path
+    shown: str
+
+    def numbers(self, name: str) -> Any:
+        """Return the JSON file of this name in the command's folder."""
+        return json.loads((self.out / name).read_text())
+
+    @property
+    def out(self) -> Path:
+        """Folder of the results."""
+        return self.folder / self.args.folder()
+
+    def label_lines(self) -> list[str]:
+        """Return the printed lines' first words, up to two spaces or a number."""
+        return [line.split("  ")[0] for line in self.shown.splitlines()]
+
+
+def check_pick(line: Line) -> None:
+    args = line.args
+    if Path(args.part).suffix:
+        assert f"{Path(args.part).name}: read as mm, d_max 62 mm, symmetry order 4" in line.shown
+    if args.budget:
+        _check_budget(line)
+        return
+    _check_run(line.out, args.perception, args.bins)
+    assert {"AP", "GSR", "DR", "MPPH mean picks per hour", "numbers", "report", "picks"} <= set(line.label_lines())
+    if args.video is not None:
+        assert (line.folder / args.video).read_bytes()[4:8] == b"ftyp"
+    if args.rerun is not None:
+        rows = rows_of(line.folder / args.rerun)
+        assert rows["/log"] == len(_picks(line.out))
+        assert rows["/world/seen/segments"] == rows["/world/seen/cloud"] >= 1
+
+
+def _check_run(out: Path, perception: str, bins: int) -> None:
+    """Check numbers, page and list of a run of ``binpick pick``."""
+    numbers = json.loads((out / "results.json").read_text())
+    assert (numbers["bins"], numbers["parts_total"]) == (bins, PARTS * bins)
+    assert numbers["config"]["perception"] == perception
+    assert 1 <= numbers["delivered"] == numbers["successes"] <= numbers["attempts"]
+    assert numbers["gsr"] == numbers["successes"] / numbers["attempts"]
+    assert (numbers["ap"] is None) == (perception == "oracle")
+    if perception == "gt_masks":
+        assert numbers["ap"] == 1.0
+    picks = _picks(out)
+    assert sum(pick["outcome"] != "" for pick in picks) == numbers["attempts"]
+    report = (out / "report.html").read_text()
+    assert report.count("src='data:image/webp;base64,") == len(picks)
+    assert ("given" in report) == (perception != "learned")
+
+
+def _picks(out: Path) -> list[dict[str, str]]:
+    with (out / "picks.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def _check_budget(line: Line) -> None:
+    modes = ("oracle", "gt_masks", "learned")
+    numbers = line.numbers("budget.json")
+    assert set(numbers["costs"]) == {"pose", "segmentation", "both"}
+    for mode in modes:
+        _check_run(line.out / mode, mode, line.args.bins)
+    assert "segmentation (gt_masks - learned)" in line.shown
+    page = (line.out / "budget.html").read_text()
+    assert all(mode in page for mode in modes)
+
+
+def check_compare(line: Line) -> None:
+    first, second = line.args.runs
+    assert [f"A  {first}", f"B  {second}", "differs: perception: oracle (A), gt_masks (B)"] == (
+        line.shown.splitlines()[1:4]
+    )
+    for row in ("GSR, grasp success [%]", "DR, parts delivered [%]", "MPPH, picks per hour"):
+        assert any(text.startswith(row) for text in line.shown.splitlines())
+    assert "Settings that differ" in (line.folder / line.args.html).read_text()
+
+
+def check_generate_scenes(line: Line) -> None:
+    assert line.shown.splitlines()[-1] == f"{line.args.count} scenes in {line.args.folder()}"
+    scenes = [BoundaryScene.load(path) for path in sorted(line.out.glob("scene_*.npz"))]
+    assert len(scenes) == line.args.count
+    for scene in scenes:
+        assert len(scene.T_cam_parts) == len(scene.visible_fractions) == PARTS
+        assert set(np.unique(scene.instance_ids)) <= {-1, 0, 1}
+
+
+def check_train_segmentation(line: Line) -> None:
+    kept = {"weights.safetensors", "weights.json", "log.jsonl", "checkpoint.safetensors"}
+    names = {path.name for path in line.out.iterdir()}
+    assert kept <= names, names
+    assert any(name.startswith("events.out.tfevents") for path in line.out.rglob("*") if (name := path.name))
+    (part,) = line.args.part
+    found = find_weights(Path(part).stem)
+    assert f"installed {found} " in line.shown
+    record = load_record(found)
+    assert record["parts"] == [Path(part).stem]
+    assert record["steps"] >= 1
+
+
+def check_evaluate_segmentation(line: Line) -> None:
+    numbers = line.numbers("results.json")
+    assert (numbers["scenes"], numbers["seed"]) == (line.args.count, line.args.seed)
+    assert 0.4 < numbers["ap75"] <= numbers["ap50"] <= 1
+    assert all(low <= numbers["ap"] <= high for low, high in [numbers["intervals"]["ap"]])
+    assert {"", "AP", "AP50", "AP75", "AP25", "visible", "a scene", "clutter", "numbers"} <= set(line.label_lines())
+    assert "paper, real Part A" in line.shown
+    assert (line.out / "report.html").exists() == line.args.html
+
+
+def check_evaluate_pose(line: Line) -> None:
+    numbers = line.numbers("results.json")
+    assert (numbers["scenes"], numbers["seed"]) == (line.args.count, line.args.seed)
+    for name in ("recognition_rate", "recall", "precision"):
+        assert 0.4 < numbers[name] <= 1
+    assert numbers["translation_mm"]["median"] < 1
+    assert {"recognition rate", "recall", "precision"} <= set(line.label_lines())
+
+
+def check_train_selector(line: Line) -> None:
+    method = type(line.args).__name__.lower()
+    path = line.folder / line.args.folder(method) / "selector.safetensors"
+    assert f"kept in {path.relative_to(line.folder)}" in line.shown
+    load_selector(str(path))
+    assert ("on held-out bins: cross-entropy" in line.shown) == (method == "bandit")
+
+
+def check_evaluate_selector(line: Line) -> None:
+    args = line.args
+    numbers = json.loads((line.folder / args.job().out / "selectors.json").read_text())
+    assert len(numbers["selectors"]) == len(args.selectors)
+    for result in numbers["selectors"].values():
+        assert 0 <= result["dr"] <= 1
+    assert numbers["best_heuristic"] == "weighted"
+    assert "best heuristic" in line.shown
+    assert "hindsight (bound)" in line.shown
+
+
+def check_synthesize(line: Line) -> None:
+    assert f"{line.args.rooms} rooms in {line.args.out}" in line.shown
+    rooms = list((line.folder / line.args.out).glob("Area_*/*/Annotations"))
+    assert len(rooms) == line.args.rooms
+    assert all(list(room.glob("wall_*.txt")) for room in rooms)
+
+
+def check_prepare(line: Line) -> None:
+    found = list((line.folder / line.args.out).rglob("*.npz"))
+    assert len(found) == len(list((line.folder / line.args.raw).glob("Area_*/*/Annotations")))
+    assert f"{len(found)} rooms of " in line.shown
+
+
+def check_train_row(line: Line) -> None:
+    path = line.args.out / "weights.safetensors"
+    assert f"weights   {path}" in line.shown
+    assert load_record(line.folder / path)["steps"] == line.args.steps
+
+
+def check_evaluate_row(line: Line) -> None:
+    assert "last row: 1 rooms" in line.shown  # of Area 5
+    assert {"SGPN (PointNet, colour)", "dgcnn-new-colour"} <= set(line.label_lines())
+
+
+def check_table(line: Line) -> None:
+    assert {"SGPN (PointNet, colour)", *ROWS} <= set(line.label_lines())
+    assert "gain on sgpn-colour" in line.shown
+    records = list((line.folder / line.args.out).rglob("weights.safetensors"))
+    assert len(records) == len(ROWS) * line.args.seeds
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tiny:
+    """How a command of a shell line is run and checked.
+
+    Attributes:
+        options: Values that replace those of the line, or are added to them.
+        check: Fails unless the command did what its page says.
+    """
+
+    options: Mapping[str, object]
+    check: Callable[[Line], None]
+
+
+BINS = {"--bins": 1, "--min-parts": PARTS, "--max-parts": PARTS, "--width": 640, "--height": 480}
+SCENES = {"--count": 2, "--workers": 1} | {name: value for name, value in BINS.items() if name != "--bins"}
+NETWORK = {"--steps": 1, "--points": 64, "--batch": 2, "--held-out": 1}
+TINY = {
+    "pick": Tiny(options={**BINS, "--video-limit": 1}, check=check_pick),
+    "compare": Tiny(options={}, check=check_compare),
+    "generate-scenes": Tiny(options=SCENES, check=check_generate_scenes),
+    "train-segmentation": Tiny(
+        options={
+            "--minutes": 0.001,
+            "--initial": SHIPPED / "shared.safetensors",
+            "--held-out": 1,
+            "--batch": 1,
+            "--threads": 1,
+        },
+        check=check_train_segmentation,
+    ),
+    "evaluate-segmentation": Tiny(options={**SCENES, "--count": 1}, check=check_evaluate_segmentation),
+    "evaluate-pose": Tiny(options={**SCENES, "--count": 1}, check=check_evaluate_pose),
+    "train-selector bandit": Tiny(
+        options={**BINS, "--bins": 2, "--workers": 1, "--epochs": 2}, check=check_train_selector
+    ),
+    "train-selector ppo": Tiny(
+        options={name: value for name, value in BINS.items() if name != "--bins"}
+        | {"--workers": 1, "--picks": 4, "--rollout": 4},
+        check=check_train_selector,
+    ),
+    "evaluate-selector": Tiny(options=BINS, check=check_evaluate_selector),
+    "s3dis synthesize": Tiny(options={"--rooms": 6, "--density": 15, "--workers": 1}, check=check_synthesize),
+    "s3dis prepare": Tiny(options={"--workers": 1}, check=check_prepare),
+    "s3dis train": Tiny(options={**NETWORK, "--threads": 1}, check=check_train_row),
+    "s3dis evaluate": Tiny(options={"--workers": 1}, check=check_evaluate_row),
+    "s3dis-table": Tiny(options={**NETWORK, "--seeds": 1, "--workers": 1}, check=check_table),
+}
