@@ -45,16 +45,14 @@ def test_parts_in_the_tray_and_in_the_gripper_are_none() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize(("part", "mode"), [*((part, "learned") for part in PARTS), ("part_b", "gt_masks")])
 def test_one_two_and_three_parts_are_all_found(part: str, mode: str) -> None:
     env = cell(part, 3, mode)
-    for seed in (31, 32):
-        for count in (1, 2, 3):
-            env.reset(seed=seed, options={"num_parts": count})
-            assert {c.part for c in env.candidates} == in_play(env)
-            assert len(env.candidates) == count
-            assert_right(env, env.candidates)
+    for count in (1, 2, 3):
+        env.reset(seed=31, options={"num_parts": count})
+        assert {c.part for c in env.candidates} == in_play(env)
+        assert len(env.candidates) == count
+        assert_right(env, env.candidates)
     env.close()
 
 
@@ -63,19 +61,17 @@ def test_one_two_and_three_parts_are_all_found(part: str, mode: str) -> None:
 def test_of_a_full_bin_most_parts_are_found_and_what_it_hides_when_that_is_left(part: str) -> None:
     """The three most hidden parts of a pile, at its bottom and in its corners, become the last ones."""
     env = cell(part, 25)
-    for seed in (31, 32):
-        env.reset(seed=seed)
-        if seed == 31:
-            assert_most_are_found(env)
-        order = [int(i) for i in np.argsort(env.labelled_capture.visible_fractions, kind="stable")]
-        for count in (3, 2, 1):
-            for i in in_play(env) - set(order[:count]):
-                env.simulation.park(i)
-            act(env, 0.6)
-            env.look()
-            assert {c.part for c in env.candidates} == in_play(env) == set(order[:count])
-            assert len(env.candidates) == count
-            assert_right(env, env.candidates)
+    env.reset(seed=31)
+    assert_most_are_found(env)
+    order = [int(i) for i in np.argsort(env.labelled_capture.visible_fractions, kind="stable")]
+    for count in (3, 1):
+        for i in in_play(env) - set(order[:count]):
+            env.simulation.park(i)
+        act(env, 0.6)
+        env.look()
+        assert {c.part for c in env.candidates} == in_play(env) == set(order[:count])
+        assert len(env.candidates) == count
+        assert_right(env, env.candidates)
     env.close()
 
 

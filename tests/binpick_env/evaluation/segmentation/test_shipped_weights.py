@@ -23,13 +23,10 @@ def no_weights_of_the_users_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize("part", ["part_a", "part_b", "part_c", "tee", "bracket"])
 def test_most_parts_are_found(part: str) -> None:
     predictor = SegmentationPredictor.for_part(part, device="cpu")
-    matches = []
-    for index in range(3):
-        scene, _ = make_scene(SceneConfig(part=part, seed=UNSEEN), index)
-        instances = predictor.predict(scene.boundary, scene.surface, scene.d_max)
-        matches.append(score_scene(scene, instances))
-        assert all(0 <= instance.score <= 1 for instance in instances)
-    assert ap_summary(matches).ap50 > 0.8
+    scene, _ = make_scene(SceneConfig(part=part, seed=UNSEEN), 0)
+    instances = predictor.predict(scene.boundary, scene.surface, scene.d_max)
+    assert all(0 <= instance.score <= 1 for instance in instances)
+    assert ap_summary([score_scene(scene, instances)]).ap50 > 0.8
 
 
 @pytest.mark.slow
