@@ -27,6 +27,7 @@ from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
 from binpick_env.options import resolve_cell
+from binpick_env.parts.label import part_label
 from binpick_env.parts.part import Part, resolve_part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
@@ -383,4 +384,4 @@ def _resolved_noise(
         return noise
     if noise != "learned":
         raise ValueError(f"pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got {noise!r}")
-    return PerceptionNoise.for_part(part.model.name, sensor)
+    return PerceptionNoise.for_part(part_label(part.source), sensor)

@@ -20,7 +20,7 @@ def main(num_parts: int = 10) -> tuple[list[Instance], float]:
     frame = capture.capture.frame
     boundary = extract_boundary(frame, workspace)
     surface = coarse_surface(frame, workspace, part.d_max)
-    instances = SegmentationPredictor.for_part("tee").predict(boundary, surface, part.d_max)
+    instances = SegmentationPredictor.for_part(part).predict(boundary, surface, part.d_max)
 
     part_ids = capture.capture.instance_ids[boundary.pixels[:, 1], boundary.pixels[:, 0]].astype("int64")
     matches = match_scene(truth_of(part_ids, capture.visible_fractions), instances)

@@ -58,17 +58,17 @@ class Pipeline:
 
     @classmethod
     def for_part(cls, part: PartModel, workspace: Workspace) -> "Pipeline":
-        """Return the pipeline for a part, with the weights for its name.
+        """Return the pipeline for a part, with the weights of its own or those for every part.
 
         Building the models of a part takes seconds the first time; later they come from the cache.
 
         Raises:
-            WeightsError: There are no weights for the part; the message names the commands that make them.
+            WeightsError: There are neither weights of the part nor for every part.
             ValueError: The mesh of the part does not enclose a volume.
         """
         from perception.segmentation.predictor import SegmentationPredictor
 
-        return cls(SegmentationPredictor.for_part(part.name), PoseEstimator(part, workspace=workspace), workspace)
+        return cls(SegmentationPredictor.for_part(part), PoseEstimator(part, workspace=workspace), workspace)
 
     def perceive(self, frame: Frame) -> Perception:
         """Return the poses of the parts in a frame; none for an empty bin or a frame without depth."""

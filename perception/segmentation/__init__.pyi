@@ -6,6 +6,7 @@ from .scene import SceneError as SceneError
 from .scoring import score_scene as score_scene
 from .surface import Surface as Surface
 from .surface import coarse_surface as coarse_surface
+from .weights import FoundWeights as FoundWeights
 from .weights import WeightsError as WeightsError
 from .weights import find_weights as find_weights
 from .weights import install_weights as install_weights

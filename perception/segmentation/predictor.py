@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from perception.boundary import BoundaryCloud
 from perception.geometry import Floats
 from perception.instance import Instance, instances_of
+from perception.part import PartModel
 from perception.segmentation.grouping.similarity import GroupingConfig, group_points
 from perception.segmentation.networks.grid import place_in, view_grid
 from perception.segmentation.networks.grid_net import GridInputs, GridNet
@@ -86,19 +87,21 @@ class SegmentationPredictor:
 
     @classmethod
     def for_part(
-        cls, part: str, config: PredictorConfig | None = None, device: torch.device | str | None = None
+        cls, part: PartModel, config: PredictorConfig | None = None, device: torch.device | str | None = None
     ) -> "SegmentationPredictor":
-        """Return the predictor with the weights for a part.
+        """Return the predictor with the weights for a part: its own, or those for every part.
 
         Args:
-            part: Catalogue name, or path of a mesh file, whose stem counts.
+            part: Part to recognise. Its shape decides which weights are its own.
             config: Settings of the prediction; the defaults of :class:`PredictorConfig` if left out.
             device: Device of the computation; a GPU if there is one, unless given.
 
         Raises:
-            WeightsError: There are no weights for the part; the message names the commands that make them.
+            WeightsError: There are neither weights of the part nor for every part.
         """
-        return cls.from_file(find_weights(Path(part).stem), config, device)
+        found = find_weights(part)
+        _log.info("%s is segmented by %s (%s)", part.name, found.path, found.training)
+        return cls.from_file(found.path, config, device)
 
     @classmethod
     def from_file(

@@ -1,21 +1,27 @@
 """Files of trained networks: safetensors with a record of the training, which is also written as JSON beside them."""
 
-from dataclasses import asdict
+import logging
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from shutil import copyfile
-from typing import Any
+from typing import Any, Literal
 
 from torch import Tensor
 
+from perception.part import PartModel
 from perception.runtime.cache import cache_folder
 from perception.runtime.files import replace_atomically, write_atomically
 from perception.runtime.records import RecordError, RecordFormat
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
+from perception.shape import same_shape, shape_signature
 
+_log = logging.getLogger(__name__)
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
-SHARED = "shared"  # the network for every part of the catalogue
+SHARED = "shared"  # name of a network for several parts; the shipped one is for the catalogue
+GENERAL = "general"  # name of the network for every part
 Network = GridNet | Sgpn
 _KINDS: dict[str, tuple[type[GridNetConfig] | type[SgpnConfig], type[GridNet] | type[Sgpn]]] = {
     "grid": (GridNetConfig, GridNet),
@@ -82,29 +88,82 @@ def _network_of(record: dict[str, Any], tensors: dict[str, Tensor]) -> Network:
     return network.eval()
 
 
-def find_weights(part: str) -> Path:
-    """Return the path of the weights for a part.
+Training = Literal["own", "family", "zero-shot"]
 
-    Weights for the part alone precede shared ones; among these, the user's precede shipped ones.
+
+@dataclass(frozen=True, kw_only=True)
+class FoundWeights:
+    """Weights for a part.
+
+    Attributes:
+        path: ``.safetensors`` file.
+        training: "own" if the part was trained on, "family" if parts of its family were, else "zero-shot".
+    """
+
+    path: Path
+    training: Training
+
+
+def training_of(record: dict[str, Any], part: PartModel) -> Training:
+    """Tell from a record whether a network, or one that it was started from, was trained on a part.
+
+    The part is recognised by its shape, see :func:`shape_signature`. Records without shapes, of older versions, are
+    matched by name. A generated part, whose name is ``generated:FAMILY:INDEX``, has a family besides.
+    """
+    known: Training = "zero-shot"
+    ancestor: dict[str, Any] | None = record
+    while ancestor is not None:
+        if _knows(ancestor, part):
+            return "own"
+        if part.name.rpartition(":")[0] in ancestor.get("families", []):
+            known = "family"
+        ancestor = ancestor.get("initial")
+    return known
+
+
+def find_weights(part: PartModel) -> FoundWeights:
+    """Return the weights for a part: those that were trained on its shape, or else those for every part.
+
+    Weights for the part alone precede weights for several parts; the user's precede shipped ones.
 
     Args:
-        part: Catalogue name, or the stem of a mesh file.
+        part: Part to recognise.
 
     Raises:
-        WeightsError: There are no weights for the part; the message names the commands that make them.
+        WeightsError: There are neither weights of the part nor for every part.
     """
-    own = user_folder()
-    for folder in (own, SHIPPED):
-        if (folder / f"{part}.safetensors").exists():
-            return folder / f"{part}.safetensors"
-    for folder in (own, SHIPPED):
-        shared = folder / f"{SHARED}.safetensors"
-        if shared.exists() and part in load_record(shared).get("parts", []):
-            return shared
-    raise WeightsError(
-        f"there are no segmentation weights for {part!r}: train them with binpick generate-scenes --part {part} and "
-        f"binpick train-segmentation --part {part}, which puts them into {own}"
-    )
+    records = [(path, record) for folder in (user_folder(), SHIPPED) for path, record in _records(folder)]
+    general = [path for path, record in records if record.get("general")]
+    own = [(path, record) for path, record in records if path not in general and _knows(record, part)]
+    if own:
+        path, _ = min(own, key=lambda found: len(found[1].get("parts", [])) > 1)
+        return FoundWeights(path=path, training="own")
+    # Without a network for every part, one for several parts serves: it knows d_max and nothing else of a part.
+    general += [path for path, _ in records if path.stem == SHARED]
+    if not general:
+        raise WeightsError(
+            f"there are no segmentation weights for {part.name!r} and none for every part: make scenes with "
+            f"binpick generate-scenes, and train with binpick train-segmentation, which installs in {user_folder()}"
+        )
+    return FoundWeights(path=general[0], training=training_of(load_record(general[0]), part))
+
+
+def _knows(record: dict[str, Any], part: PartModel) -> bool:
+    """Tell whether a network was itself trained on a part."""
+    shapes: dict[str, list[float]] | None = record.get("shapes")
+    if shapes is None:
+        return part.name in record.get("parts", [])
+    signature = shape_signature(part) if shapes else ()
+    return any(same_shape(shape, signature) for shape in shapes.values())
+
+
+def _records(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Yield the files of networks in a folder with their records; damaged ones are left out with a warning."""
+    for path in sorted(folder.glob("*.safetensors")):
+        try:
+            yield path, load_record(path)
+        except WeightsError as error:
+            _log.warning("left out: %s", error)
 
 
 def install_weights(path: Path, name: str) -> Path:

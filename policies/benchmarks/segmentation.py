@@ -35,7 +35,7 @@ def bench_segmentation(config: SceneConfig, repeats: int, threads: int) -> Itera
     """
     if repeats < 1 or threads < 1:
         raise ValueError(f"repeats and threads must be at least 1, got {repeats} and {threads}")
-    predictor = SegmentationPredictor.for_part(config.part, device="cpu")
+    predictor = SegmentationPredictor.for_part(config.options().load_part().model, device="cpu")
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:

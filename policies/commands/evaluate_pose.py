@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from binpick_env.config import SensorPreset
 from binpick_env.evaluation.choices import PosePerception
+from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
 
@@ -47,7 +48,7 @@ class Arguments(SceneArguments):
         """Return where the results are kept."""
         kind = "pose-ablation" if self.ablation else "pose-eval"
         mode = "" if self.ablation else f"-{self.perception}"
-        return self.out or Path("runs") / f"{kind}-{Path(self.part).stem}{mode}-{self.seed}"
+        return self.out or Path("runs") / f"{kind}-{part_label(self.part)}{mode}-{self.seed}"
 
     def scene_config(self) -> "SceneConfig":
         """Return what the scenes depend on."""
@@ -76,7 +77,7 @@ class Arguments(SceneArguments):
 
         weights = self.weights
         if self.perception == "learned" and weights is None:
-            weights = find_weights(Path(self.part).stem)
+            weights = find_weights(self.options().load_part().model).path
         method = PoseMethodConfig(perception=self.perception, weights=weights, estimator=self.estimator())
         return PoseEvaluationConfig(scenes=self.scene_config(), method=method)
 

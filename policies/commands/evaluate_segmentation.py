@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from binpick_env.config import SensorPreset
 from binpick_env.evaluation.choices import SegmentationKind
+from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
 
@@ -50,7 +51,7 @@ class Arguments(SceneArguments):
     def folder(self) -> Path:
         """Return where the results are kept."""
         kind = "ablation" if self.ablation else "segmentation-eval"
-        return self.out or Path("runs") / f"{kind}-{Path(self.part).stem}-{self.seed}"
+        return self.out or Path("runs") / f"{kind}-{part_label(self.part)}-{self.seed}"
 
     def scene_config(self) -> "SceneConfig":
         """Return what the scenes depend on."""
@@ -72,7 +73,7 @@ class Arguments(SceneArguments):
 
         weights = None
         if self.method == "network":
-            weights = self.weights or find_weights(Path(self.part).stem)
+            weights = self.weights or find_weights(self.options().load_part().model).path
         method = MethodConfig(kind=self.method, weights=weights, threshold=self.threshold, radius=self.radius)
         return EvaluationConfig(scenes=self.scene_config(), method=method)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from binpick_env.config import Perception
+from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import CellArguments, evaluated
 from policies.commands.command_line import exit_code, parse
 from policies.selection.choices import HEURISTICS
@@ -53,7 +54,7 @@ class Arguments(CellArguments):
         """Return how it is done."""
         from policies.evaluation.jobs import Job
 
-        name = f"selectors-{Path(self.part).stem}-{self.perception}-{self.sensor}-{self.seed}"
+        name = f"selectors-{part_label(self.part)}-{self.perception}-{self.sensor}-{self.seed}"
         return Job(out=self.out or Path("runs") / name, bins=self.bins, workers=self.workers)
 
 

@@ -33,13 +33,14 @@ def run(args: Arguments) -> int:
 def _fit(args: Arguments) -> str:
     from binpick_env.evaluation.noise_fit import fit_noise, observe_bins, save_noise
     from binpick_env.observation.perception_noise import SHIPPED
+    from binpick_env.parts.label import part_label
     from perception.runtime.provenance import command_line, git_commit
 
     filled = args.min_parts, args.max_parts
     frames = observe_bins(args.options(), args.bins, args.seed, num_parts=filled, workers=args.workers)
     facts = {"command": command_line(), "commit": git_commit(), "seed": args.seed, "bins": args.bins}
     noise = fit_noise(frames, {**facts, "part": args.part, "sensor": args.sensor, "num_parts": list(filled)})
-    path = args.json or SHIPPED / f"{Path(args.part).stem}_{args.sensor}.json"
+    path = args.json or SHIPPED / f"{part_label(args.part)}_{args.sensor}.json"
     save_noise(path, noise)
     lines = ["visible up to   parts   offered   of them wrong"]
     lines += [

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from binpick_env.config import SensorChoice
+from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
 
@@ -32,7 +33,7 @@ class Arguments(SceneArguments):
 
     def folder(self) -> Path:
         """Return where the scenes are kept."""
-        return self.out or Path("runs") / f"scenes-{Path(self.part).stem}-{self.seed}"
+        return self.out or Path("runs") / f"scenes-{part_label(self.part)}-{self.seed}"
 
     def config(self) -> "SceneConfig":
         """Return what a scene depends on."""

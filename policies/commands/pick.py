@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from binpick_env.config import Perception
+from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import CellArguments, evaluated
 from policies.commands.command_line import exit_code, parse
 
@@ -64,7 +65,7 @@ class Arguments(CellArguments):
     def folder(self) -> Path:
         """Return where the results are kept."""
         kind = "budget" if self.budget else self.perception
-        return self.out or Path("runs") / f"pick-{Path(self.part).stem}-{kind}-{self.seed}"
+        return self.out or Path("runs") / f"pick-{part_label(self.part)}-{kind}-{self.seed}"
 
     def job(self) -> "Job":
         """Return how it is done."""

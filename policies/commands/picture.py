@@ -75,7 +75,7 @@ def _segmentation(scenes: "SceneConfig") -> "NDArray[np.uint8]":
     from binpick_env.evaluation.segmentation.pictures import side_by_side
     from perception.segmentation.weights import find_weights
 
-    method = MethodConfig(weights=find_weights(Path(scenes.part).stem))
+    method = MethodConfig(weights=find_weights(scenes.options().load_part().model).path)
     return side_by_side(evaluate_scene(EvaluationConfig(scenes=scenes, method=method), 0))
 
 
@@ -89,7 +89,7 @@ def _poses(scenes: "SceneConfig") -> "NDArray[np.uint8]":
     from perception.pose.model.appearances import edge_appearances
     from perception.segmentation.weights import find_weights
 
-    method = PoseMethodConfig(perception="learned", weights=find_weights(Path(scenes.part).stem))
+    method = PoseMethodConfig(perception="learned", weights=find_weights(scenes.options().load_part().model).path)
     record = evaluate_pose_scene(PoseEvaluationConfig(scenes=scenes, method=method), 0)
     model = scenes.options().load_part().model
     bgr = outlines(record, PoseSceneScore.from_record(record, 0, model), edge_appearances(model))

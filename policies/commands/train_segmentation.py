@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from binpick_env.parts.label import part_label
 from perception.segmentation.training.choices import PresetName
 from policies.commands.command_line import exit_code, parse
 
@@ -50,7 +51,7 @@ class Arguments:
         """Name that the weights are kept under."""
         from perception.segmentation.weights import SHARED
 
-        return Path(self.part[0]).stem if len(self.part) == 1 else SHARED
+        return part_label(self.part[0]) if len(self.part) == 1 else SHARED
 
     def config(self) -> "TrainingConfig":
         """Return how to train."""
@@ -68,7 +69,7 @@ class Arguments:
         """Return the scene files to train and to validate on."""
         from perception.segmentation.training.dataset import split_scenes
 
-        folders = self.scenes or tuple(Path("runs") / f"scenes-{Path(part).stem}-0" for part in self.part)
+        folders = self.scenes or tuple(Path("runs") / f"scenes-{part_label(part)}-0" for part in self.part)
         return split_scenes(folders, self.validation, self.held_out)
 
     def length(self, config: "TrainingConfig", scenes: int, world: int = 1) -> "Length":
@@ -109,10 +110,12 @@ def _train_at(args: Arguments, place: "Place") -> str | None:
     import torch
     from tqdm import tqdm
 
+    from binpick_env.parts.part import load_part
     from perception.segmentation.training.dataset import BatchMaker, load_packed, scene_sources
     from perception.segmentation.training.loop import Trainer
     from perception.segmentation.training.progress import TrainingDisplay
     from perception.segmentation.training.run import RunConfig, resume, train
+    from perception.shape import shape_signature
 
     config, out, leader = args.config(), args.folder(), place.rank == 0
     training, validation = args.files()
@@ -121,8 +124,10 @@ def _train_at(args: Arguments, place: "Place") -> str | None:
     batches = BatchMaker.of(config, scenes, place.rank)
     device = args.device or (f"cuda:{place.local_rank}" if torch.cuda.is_available() else "cpu")
     trainer = Trainer(config, batches, args.length(config, len(scenes), place.world), device)
-    names = tuple(Path(part).stem for part in args.part)
-    sources = {"trained_on": scene_sources(training), "validated_on": scene_sources(validation)}
+    names = tuple(part_label(part) for part in args.part)
+    shapes = {name: shape_signature(load_part(part).model) for name, part in zip(names, args.part, strict=True)}
+    uses = {"trained_on": scene_sources(training), "validated_on": scene_sources(validation)}
+    sources = {"shapes": shapes, **uses}
     run = RunConfig(
         sources=sources, out=out, parts=names, initial=args.initial, evaluate_every=args.evaluate_every, leader=leader
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from binpick_env.config import Perception
+from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import CellArguments
 from policies.commands.command_line import exit_code, parse
 
@@ -35,7 +36,7 @@ class Common(CellArguments):
 
     def folder(self, method: str) -> Path:
         """Return where the training is kept."""
-        return self.out or Path("runs") / f"selector-{method}-{Path(self.part).stem}-{self.seed}"
+        return self.out or Path("runs") / f"selector-{method}-{part_label(self.part)}-{self.seed}"
 
 
 @dataclass(frozen=True, kw_only=True)

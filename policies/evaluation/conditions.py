@@ -14,14 +14,16 @@ def given_numbers(perception: str) -> frozenset[str]:
     return frozenset(given.get(perception, ()))
 
 
-def conditions(config: Mapping[str, Any]) -> tuple[str, ...]:
+def conditions(config: Mapping[str, Any], weights: Mapping[str, Any] | None = None) -> tuple[str, ...]:
     """Return perception and sensor of an evaluation, and every setting of the cell that is not the standard one.
 
     Args:
         config: Fields of an :class:`policies.evaluation.config.EvaluationConfig` as plain values, by name; those of
             earlier versions have no jaw and no friction.
+        weights: ``name`` of the network that perception used, and whether it was trained on the part (``training``).
     """
-    facts = [str(config["perception"]), f"sensor {config['sensor']}"]
+    network = f" ({weights['name']}, {weights['training']})" if weights else ""
+    facts = [f"{config['perception']}{network}", f"sensor {config['sensor']}"]
     if hand_eye := config["camera"]["hand_eye"]:
         facts.append(f"hand-eye {1000 * hand_eye:g} mm")
     if size := config["bin"]:

@@ -72,6 +72,20 @@ class EvaluationConfig:
             friction=self.friction,
         )
 
+    def weights(self) -> dict[str, str] | None:
+        """Return name, SHA-256 and training of the network that segments; None where perception uses none.
+
+        Raises:
+            WeightsError: There is no network for the part.
+        """
+        if self.perception != "learned":
+            return None
+        from perception.segmentation.weights import find_weights  # here, since it loads torch
+
+        found = find_weights(self.options().load_part().model)
+        sha256 = hashlib.sha256(found.path.read_bytes()).hexdigest()
+        return {"name": found.path.name, "sha256": sha256, "training": found.training}
+
     def cell(self) -> CellConfig:
         """Return the settings of the cell, the camera's included."""
         return replace(self.options().cell(), camera=self.camera)

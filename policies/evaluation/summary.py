@@ -59,6 +59,8 @@ class Summary:
         clutter: Visible fractions in the settled bins: median (mean of the bins' medians), below_half and
             above_nine_tenths (shares of all parts), and the number of parts.
         camera_backend: What rendered the frames.
+        weights: ``name``, ``sha256`` and ``training`` ("own", "family" or "zero-shot") of the segmentation network;
+            None where perception uses none.
         intervals: Intervals of gsr and dr (Wilson), of mpph and motion_dph (percentile bootstrap over attempts), of
             gsr_bins and dr_bins (the same rates, percentile bootstrap over whole bins; None for a single bin), and
             over bins likewise of ap, ap50, ap75 and the three rates of candidates, which are never narrower than
@@ -100,6 +102,7 @@ class Summary:
     perception_ms: dict[str, float]
     clutter: dict[str, float | None]
     camera_backend: str
+    weights: dict[str, str] | None = None
     intervals: dict[str, Interval | None]
     bins: int
     seed: int
@@ -189,6 +192,7 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
         perception_ms=perception.stages,
         clutter=pooled_clutter([record.clutter for record in records]),
         camera_backend=config.camera.backend,
+        weights=config.weights(),
         intervals={
             "gsr": (gsr.low, gsr.high),
             "dr": (dr.low, dr.high),

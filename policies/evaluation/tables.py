@@ -18,7 +18,8 @@ _BAR = 24
 def result_table(summary: Summary) -> str:
     """Return the table of an evaluation's numbers."""
     config = summary.config
-    title = " · ".join([config["part"], *conditions(config), f"{summary.bins} bins", f"seed {summary.seed}"])
+    facts = conditions(config, summary.weights)
+    title = " · ".join([config["part"], *facts, f"{summary.bins} bins", f"seed {summary.seed}"])
     lines = [
         title,
         "═" * WIDTH,

@@ -15,8 +15,10 @@ from perception.frame import Frame, Workspace
 from perception.geometry import Floats, make_transform, rotation_about, transform_points
 from perception.instance import Instance, labels_of
 from perception.metrics.pose_errors import pose_error
+from perception.part import PartModel
 from perception.pipeline import STAGES, Perception, Pipeline, perceive_by
 from perception.pose.estimator import PoseEstimator
+from perception.segmentation import weights
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.surface import Surface
 from perception.segmentation.weights import WeightsError
@@ -195,7 +197,7 @@ def test_the_same_frame_gives_the_same_bits() -> None:
 def test_a_pipeline_for_a_part_has_its_weights_and_models(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[object] = []
 
-    def for_part(part: str) -> SegmentationPredictor:
+    def for_part(part: PartModel) -> SegmentationPredictor:
         asked.append(part)
         return PREDICTOR
 
@@ -206,12 +208,13 @@ def test_a_pipeline_for_a_part_has_its_weights_and_models(monkeypatch: pytest.Mo
     monkeypatch.setattr(SegmentationPredictor, "for_part", for_part)
     monkeypatch.setattr(module, "PoseEstimator", estimator)
     made = Pipeline.for_part(ELL, BIN)
-    assert asked == ["ell", ELL, BIN]
+    assert asked == [ELL, ELL, BIN]
     assert (made.predictor, made.estimator, made.workspace) == (PREDICTOR, ESTIMATOR, BIN)
     assert_poses(made.perceive(FRAME))
 
 
 def test_a_part_without_weights_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
-    with pytest.raises(WeightsError, match="ell"):
+    monkeypatch.setattr(weights, "SHIPPED", tmp_path)
+    with pytest.raises(WeightsError, match="no segmentation weights for 'ell' and none for every part"):
         Pipeline.for_part(ELL, BIN)

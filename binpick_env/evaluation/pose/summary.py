@@ -215,7 +215,7 @@ def summarise_poses(
         seed=config.scenes.seed,
         perception=method.perception,
         min_score=method.estimator.min_score,
-        weights=None if method.network is None else weights_provenance(method.network),
+        weights=None if method.network is None else weights_provenance(method.network, config.load().part),
         config=config.plain(),
         git_commits=sorted({score.git_commit for score in scores}),
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from binpick_env.evaluation.pose.summary import PAPER, PoseSummary
+from binpick_env.evaluation.segmentation.summary import weights_name
 from binpick_env.evaluation.segmentation.table import bounds, share
 from binpick_env.jobs.text_tables import WIDTH, columns, number, percent
 from perception.runtime.provenance import git_commit
@@ -66,7 +67,7 @@ def facts_line(summary: PoseSummary) -> str:
 def perception_name(summary: PoseSummary) -> str:
     """Return a short description of the origin of the segments."""
     name = SEGMENTS[summary.perception]
-    return name if summary.weights is None else f"{name} ({Path(summary.weights['path']).name})"
+    return name if summary.weights is None else f"{name} ({weights_name(summary.weights)})"
 
 
 def headline_rows(summary: PoseSummary) -> list[tuple[str, float, str, tuple[float, float]]]:

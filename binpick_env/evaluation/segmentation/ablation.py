@@ -17,6 +17,7 @@ from binpick_env.evaluation.segmentation.method import Grouping, MethodConfig, s
 from binpick_env.evaluation.segmentation.summary import load_scores
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
+from binpick_env.parts.label import part_label
 from binpick_env.scenes.synthesis import SceneConfig, generate_scenes, scene_settings
 from perception.metrics.average_precision import ap_summary
 from perception.metrics.matching import SceneMatches
@@ -149,7 +150,7 @@ def _seed_of(folder: Path, part: str) -> int | None:
     """Return the seed of a folder of generated scenes of ``part``; None if it is unknown or of another part."""
     try:
         stored = json.loads((folder / SCENES_NOTE).read_text())
-        return int(stored["seed"]) if Path(stored["part"]).stem == Path(part).stem else None
+        return int(stored["seed"]) if part_label(stored["part"]) == part_label(part) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -240,7 +241,7 @@ class _AblationRun:
         device = "cuda" if torch.cuda.is_available() else "cpu"
         length = Length(steps=self.config.steps)
         trainer = Trainer(training, BatchMaker.of(training, self.packed), length, device)
-        run = RunConfig(out=folder, parts=(Path(self.config.scenes.part).stem,), evaluate_every=np.inf)
+        run = RunConfig(out=folder, parts=(part_label(self.config.scenes.part),), evaluate_every=np.inf)
         resume(trainer, run)
 
         def on_step(record: StepRecord) -> None:

@@ -133,12 +133,18 @@ def require_unseen(config: EvaluationConfig) -> None:
     record = load_record(config.method.weights)
     for use in ("trained_on", "validated_on"):
         for source in record.get(use, []):
-            same_part = Path(str(source["part"])).stem == Path(config.scenes.part).stem
-            if same_part and source["seed"] == config.scenes.seed:
+            if _same_part(source, config.scenes) and source["seed"] == config.scenes.seed:
                 raise ValueError(
                     f"{config.method.weights} has been {use.replace('_', ' ')} scenes of seed {config.scenes.seed}; "
                     "evaluate it with another seed"
                 )
+
+
+def _same_part(source: dict[str, Any], scenes: SceneConfig) -> bool:
+    """Tell whether scenes of a training are of the part of ``scenes``; files are compared by content where known."""
+    if source.get("file") is not None:
+        return bool(source["file"] == scene_settings(scenes).get("file"))
+    return Path(str(source["part"])).stem == Path(scenes.part).stem
 
 
 def _segment(

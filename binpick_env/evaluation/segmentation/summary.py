@@ -13,9 +13,10 @@ from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord, reco
 from binpick_env.scenes.clutter import ClutterStats, pooled_clutter
 from perception.metrics.average_precision import ap_summary, bootstrap_ap
 from perception.metrics.matching import SceneMatches
+from perception.part import PartModel
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, versions
-from perception.segmentation.weights import load_record
+from perception.segmentation.weights import load_record, training_of
 
 BANDS = ((0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, np.inf))  # visible fractions, [low, high)
 PAPER = {"ap50": 0.505, "ap75": 0.254}  # table 2 of the paper, its whole method
@@ -217,7 +218,7 @@ def summarise(
         sensor=config.scenes.sensor,
         seed=config.scenes.seed,
         method=config.method.settings(),
-        weights=weights_provenance(config.method),
+        weights=weights_provenance(config.method, config.scenes.options().load_part().model),
         config=config.settings(),
         git_commits=sorted({score.git_commit for score in scores}),
     )
@@ -228,13 +229,25 @@ def save_summary(path: Path, summary: Any) -> None:
     write_atomically(path, json_text(asdict(summary)))
 
 
-def weights_provenance(method: MethodConfig) -> dict[str, Any] | None:
-    """Return path, SHA-256 and training of a method's weights; None without weights."""
+def weights_provenance(method: MethodConfig, part: PartModel) -> dict[str, Any] | None:
+    """Return path, SHA-256 and training of a method's weights; None without weights.
+
+    Args:
+        method: Segmentation method.
+        part: Part that is segmented; ``training`` says whether the network was trained on it.
+    """
     if method.weights is None:
         return None
     record = load_record(method.weights)
     made = {name: record.get(name) for name in ("git_commit", "parts", "steps", "minutes", "scenes")}
-    return {"path": str(method.weights), "sha256": method.digest(), **made}
+    sha256, training = method.digest(), training_of(record, part)
+    return {"path": str(method.weights), "sha256": sha256, "training": training, **made}
+
+
+def weights_name(weights: dict[str, Any]) -> str:
+    """Return the file name of weights, with whether they were trained on the part where that is known."""
+    name = Path(weights["path"]).name
+    return f"{name}, {weights['training']}" if weights.get("training") else name
 
 
 def _quotient(count: int, total: int) -> float:

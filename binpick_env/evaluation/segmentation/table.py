@@ -1,11 +1,10 @@
 """Summary of an evaluation of segmentation as plain text."""
 
 import textwrap
-from pathlib import Path
 
 import numpy as np
 
-from binpick_env.evaluation.segmentation.summary import SegmentationSummary
+from binpick_env.evaluation.segmentation.summary import SegmentationSummary, weights_name
 from binpick_env.jobs.text_tables import WIDTH, columns, number, percent
 from perception.runtime.provenance import git_commit
 
@@ -29,7 +28,7 @@ def method_name(summary: SegmentationSummary) -> str:
     """Return a short name of the method: the file of its weights, or its radius."""
     if summary.weights is None:
         return f"components of radius {1000 * summary.method['radius']:g} mm"
-    return Path(summary.weights["path"]).name
+    return weights_name(summary.weights)
 
 
 def band_rows(summary: SegmentationSummary) -> list[tuple[str, ...]]:

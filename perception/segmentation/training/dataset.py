@@ -175,7 +175,7 @@ def scene_sources(paths: Sequence[Path]) -> list[dict[str, Any]]:
             note = json.loads((folder / SCENES_NOTE).read_text())
         except (OSError, ValueError):
             note = {}  # scenes that generate_scenes did not make
-        known = {name: note.get(name) for name in ("part", "seed", "sensor", "num_parts", "jitter")}
+        known = {name: note.get(name) for name in ("part", "file", "seed", "sensor", "num_parts", "jitter")}
         sources.append({**known, "scenes": sum(path.parent == folder for path in paths)})
     return sources
 

@@ -5,9 +5,12 @@ from pathlib import Path
 
 import pytest
 import torch
+import trimesh
 from safetensors import SafetensorError
 from safetensors.torch import save_file
 
+from perception.geometry import make_transform, rotation_about
+from perception.part import PartModel
 from perception.segmentation import weights as module
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
@@ -15,6 +18,7 @@ from perception.segmentation.weights import (
     FORMAT,
     SHARED,
     SHIPPED,
+    FoundWeights,
     WeightsError,
     find_weights,
     install_weights,
@@ -22,6 +26,7 @@ from perception.segmentation.weights import (
     load_record,
     save_network,
 )
+from perception.shape import shape_signature
 
 NETWORKS = [
     GridNet(GridNetConfig(widths=(4, 5, 6, 7, 8), hidden=9, embedding=3)),
@@ -109,25 +114,74 @@ def test_the_record_travels_with_the_weights(tmp_path: Path) -> None:
     load_network(path)
 
 
-def test_the_users_own_go_before_shipped_ones_and_a_parts_own_before_shared_ones(folders: tuple[Path, Path]) -> None:
+def box(name: str, *sides: float) -> PartModel:
+    return PartModel.from_mesh(name, trimesh.creation.box(sides))
+
+
+NUT, BOLT = box("nut", 0.03, 0.03, 0.01), box("bolt", 0.01, 0.01, 0.06)
+
+
+def trained(*parts: PartModel, **others: object) -> dict[str, object]:
+    """Return the record of a training on parts."""
+    return {"parts": [p.name for p in parts], "shapes": {p.name: shape_signature(p) for p in parts}, **others}
+
+
+def test_the_users_own_go_before_shipped_ones_and_a_parts_own_before_those_for_several(
+    folders: tuple[Path, Path],
+) -> None:
     own, shipped = folders
-    with pytest.raises(WeightsError, match=r"no segmentation weights for 'tee': train them with .*--part tee"):
-        find_weights("tee")
-    save_network(shipped / f"{SHARED}.safetensors", NETWORKS[0], {"parts": ["tee", "bracket"]})
-    assert find_weights("tee") == shipped / f"{SHARED}.safetensors"
-    with pytest.raises(WeightsError, match="no segmentation weights for 'nut'"):
-        find_weights("nut")
-    save_network(shipped / "tee.safetensors", NETWORKS[0], {})
-    assert find_weights("tee") == shipped / "tee.safetensors"
-    assert install_weights(shipped / "tee.safetensors", "tee") == own / "tee.safetensors"
-    assert find_weights("tee") == own / "tee.safetensors"
-    assert load_network(own / "tee.safetensors").config == NETWORKS[0].config
+    with pytest.raises(WeightsError, match="no segmentation weights for 'nut' and none for every part"):
+        find_weights(NUT)
+    for folder, name, parts in (
+        (shipped, "shared", (NUT, BOLT)),
+        (shipped, "nut", (NUT,)),
+        (own, "shared", (NUT, BOLT)),
+    ):
+        save_network(folder / f"{name}.safetensors", NETWORKS[0], trained(*parts))
+        expected = shipped / "nut.safetensors" if folder == own else folder / f"{name}.safetensors"
+        assert find_weights(NUT) == FoundWeights(path=expected, training="own")
+    assert find_weights(BOLT).path == own / "shared.safetensors"
+    assert install_weights(shipped / "nut.safetensors", "nut") == own / "nut.safetensors"
+    assert find_weights(NUT).path == own / "nut.safetensors"
+    assert load_network(own / "nut.safetensors").config == NETWORKS[0].config
 
 
-def test_shared_weights_of_the_users_own_are_found_too(folders: tuple[Path, Path]) -> None:
+def test_a_part_is_recognised_by_its_shape_whatever_its_name_and_file(folders: tuple[Path, Path]) -> None:
+    own, shipped = folders
+    save_network(shipped / "shared.safetensors", NETWORKS[0], trained(BOLT))
+    save_network(own / "nut.safetensors", NETWORKS[0], trained(NUT))
+    fine = trimesh.creation.box((0.03, 0.03, 0.01)).subdivide()
+    fine.apply_transform(make_transform(rotation_about((1, 2, 3), 0.4), (0.1, 0.0, 0.2)))
+    assert find_weights(PartModel.from_mesh("my_part", fine)) == FoundWeights(
+        path=own / "nut.safetensors", training="own"
+    )
+    other = find_weights(box("nut", 0.03, 0.03, 0.012))  # another part of that name
+    assert other == FoundWeights(path=shipped / "shared.safetensors", training="zero-shot")
+
+
+def test_weights_for_every_part_serve_those_without_their_own(folders: tuple[Path, Path]) -> None:
+    own, shipped = folders
+    save_network(shipped / "shared.safetensors", NETWORKS[0], trained(BOLT))
+    start = trained(box("lid", 0.05, 0.05, 0.004))
+    save_network(shipped / "general.safetensors", NETWORKS[0], {"general": True, "initial": start, "shapes": {}})
+    assert find_weights(BOLT) == FoundWeights(path=shipped / "shared.safetensors", training="own")
+    assert find_weights(NUT) == FoundWeights(path=shipped / "general.safetensors", training="zero-shot")
+    assert find_weights(box("cover", 0.05, 0.05, 0.004)).training == "own"  # the training started from that one
+    (own).mkdir(parents=True)
+    save_network(own / "general.safetensors", NETWORKS[0], {"general": True, "families": ["generated:clevis"]})
+    assert find_weights(box("generated:clevis:3", 0.03, 0.02, 0.01)).training == "family"
+    assert find_weights(NUT).path == own / "general.safetensors"
+
+
+def test_records_without_shapes_are_matched_by_name_and_damaged_files_are_left_out(
+    folders: tuple[Path, Path], caplog: pytest.LogCaptureFixture
+) -> None:
     own, _ = folders
-    save_network(own / f"{SHARED}.safetensors", NETWORKS[0], {"parts": ["nut"]})
-    assert find_weights("nut") == own / f"{SHARED}.safetensors"
+    save_network(own / "old.safetensors", NETWORKS[0], {"parts": ["nut"]})
+    (own / "bad.safetensors").write_bytes(b"nothing")
+    assert find_weights(NUT) == FoundWeights(path=own / "old.safetensors", training="own")
+    assert "left out" in caplog.text
+    assert "bad.safetensors does not hold a complete segmentation network" in caplog.text
 
 
 @pytest.mark.parametrize("part", ["part_a", "part_b", "part_c", "tee", "bracket"])

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from binpick_env.parts.part import load_part
 from perception.segmentation.scene import SCENES_NOTE
 from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS
 from perception.segmentation.weights import find_weights, load_network, load_record
@@ -21,7 +22,7 @@ def _scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Go to a folder with scenes of two parts; weights go to a cache of their own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
-    for part in ("nut", "bolt"):
+    for part in ("bracket", "tee"):
         for k in range(3):
             disc_scene(k, points_each=40).save(tmp_path / "runs" / f"scenes-{part}-0" / f"scene_{k:05d}.npz")
         (tmp_path / "runs" / f"scenes-{part}-0" / SCENES_NOTE).write_text(json.dumps({"part": part, "seed": 3}))
@@ -38,22 +39,26 @@ def call(*arguments: str) -> int:
 def test_one_network_for_two_parts_is_trained_installed_and_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call("--part", "nut", "bolt", "--steps", "2", "--json", "last.json") == 0
+    assert call("--part", "bracket", "tee", "--steps", "2", "--json", "last.json") == 0
     out = tmp_path / "runs" / "segmentation-shared-ours-0"
     assert {CHECKPOINT, LOG, WEIGHTS} <= {path.name for path in out.iterdir()}
-    assert find_weights("bolt") == find_weights("nut") == tmp_path / "cache" / "weights" / "shared.safetensors"
-    record = load_record(find_weights("nut"))
-    assert (record["parts"], record["steps"], record["scenes"]) == (["nut", "bolt"], 2, 4)
+    assert (
+        find_weights(load_part("tee").model).path
+        == find_weights(load_part("bracket").model).path
+        == tmp_path / "cache" / "weights" / "shared.safetensors"
+    )
+    record = load_record(find_weights(load_part("bracket").model).path)
+    assert (record["parts"], record["steps"], record["scenes"]) == (["bracket", "tee"], 2, 4)
     assert [source["scenes"] for source in record["trained_on"]] == [2, 2]
     assert [source["seed"] for source in record["validated_on"]] == [3, 3]
     assert json.loads((tmp_path / "last.json").read_text())["validation"].keys() >= {"ap50", "ap75"}
     assert "installed" in capsys.readouterr().out
-    assert call("--part", "nut", "bolt", "--steps", "2") == 0  # nothing is left to do
+    assert call("--part", "bracket", "tee", "--steps", "2") == 0  # nothing is left to do
     assert "resuming at step 2" in capsys.readouterr().out
 
 
 def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
-    args = train.Arguments(part=("nut",), preset="paper")
+    args = train.Arguments(part=("bracket",), preset="paper")
     assert args.length(args.config(), 1000).steps == 100_000
     assert args.length(args.config(), 1000, world=4).steps == 25_000
     assert train.Arguments(preset="paper", steps=7).length(args.config(), 1000).steps == 7
@@ -62,13 +67,13 @@ def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--part", "nut"], "give either steps or minutes"),
+        (["--part", "bracket"], "give either steps or minutes"),
         (["--part", "screw", "--steps", "1"], "runs/scenes-screw-0 holds no scene_*.npz"),
         (
-            ["--part", "nut", "--steps", "1", "--initial", "nowhere.safetensors"],
+            ["--part", "bracket", "--steps", "1", "--initial", "nowhere.safetensors"],
             "nowhere.safetensors does not hold a complete",
         ),
-        (["--part", "nut", "--steps", "1", "--learning-rate", "-1"], "learning_rate must be positive, got -1.0"),
+        (["--part", "bracket", "--steps", "1", "--learning-rate", "-1"], "learning_rate must be positive, got -1.0"),
     ],
 )
 def test_a_users_mistake_is_one_line_and_exit_code_2(
@@ -82,10 +87,10 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(
 @pytest.mark.slow
 def test_two_processes_train_one_network_and_one_of_them_writes(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    command += [str(script("train-segmentation")), "--part", "nut", "--steps", "2", "--batch", "1"]
+    command += [str(script("train-segmentation")), "--part", "bracket", "--steps", "2", "--batch", "1"]
     done = start([*command, "--held-out", "1", "--no-tensorboard"], tmp_path, OMP_NUM_THREADS="1")
     assert done.returncode == 0, done.stderr
-    out = tmp_path / "runs" / "segmentation-nut-ours-0"
+    out = tmp_path / "runs" / "segmentation-bracket-ours-0"
     assert len((out / LOG).read_text().splitlines()) == 1
     assert load_record(out / WEIGHTS)["steps"] == 2
     assert load_record(out / WEIGHTS)["epochs"] == 2 * 1 * 2 / 2  # steps x batch x processes / scenes
