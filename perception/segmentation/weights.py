@@ -115,7 +115,7 @@ def training_of(record: dict[str, Any], part: PartModel) -> Training:
     while ancestor is not None:
         if _knows(ancestor, part):
             return "own"
-        if part.name.rpartition(":")[0] in ancestor.get("families", []):
+        if ":".join(part.name.split(":")[:2]) in ancestor.get("families", []):
             known = "family"
         ancestor = ancestor.get("initial")
     return known

@@ -27,6 +27,7 @@ _TRAINING: tuple[Builder, ...] = (
     fasteners.eye_bolt,
     fittings.pipe_elbow,
     fittings.reducer,
+    fittings.tee_fitting,  # near the catalogue's tee, from whose network the trainings start
     fittings.pipe_flange,
     fittings.hose_barb,
     profiles.l_bracket,
@@ -60,7 +61,6 @@ _HELD_OUT: tuple[Builder, ...] = (
     wheels.spur_gear,  # round and toothed
     turned.piston,  # hollow
     turned.hollow_cap,  # hollow
-    fittings.tee_fitting,  # branched
     fittings.cross_fitting,  # branched
     fittings.y_fitting,  # branched
     fasteners.wing_nut,  # winged

@@ -77,7 +77,7 @@ def test_it_prints_the_ablation(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--part", "odd.stl"], "there are no segmentation weights for 'odd': train them with binpick generate-scenes"),
+        (["--part", "odd.stl"], "there is no part file odd.stl"),
         (["--weights", "nowhere.safetensors"], "nowhere.safetensors"),
         (["--perception", "gt_masks", "--part", "teapot"], "part must be one of part_a"),
         (["--perception", "gt_masks", "--count", "0"], "count and workers must be at least 1, got 0 and 2"),

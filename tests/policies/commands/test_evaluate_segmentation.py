@@ -65,7 +65,7 @@ def test_evaluate_segmentation_prints_the_ablation(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--part", "odd.stl"], "there are no segmentation weights for 'odd': train them with binpick generate-scenes"),
+        (["--part", "odd.stl"], "there is no part file odd.stl"),
         (["--weights", "nowhere.safetensors"], "nowhere.safetensors"),
         (["--method", "euclidean", "--part", "teapot"], "part must be one of part_a"),
         (["--method", "euclidean", "--count", "0"], "count and workers must be at least 1, got 0 and 2"),

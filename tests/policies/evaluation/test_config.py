@@ -8,6 +8,7 @@ import trimesh
 
 from binpick_env.config import CameraConfig, CellConfig
 from binpick_env.observation.oracle import PoseNoise
+from perception.segmentation import weights
 from policies.evaluation.config import EvaluationConfig, bin_seed
 from policies.evaluation.jobs import Job
 from policies.picking.settings import PickerSettings
@@ -93,6 +94,13 @@ def test_impossible_settings_are_refused(tmp_path: Path, monkeypatch: pytest.Mon
         EvaluationConfig(part="teapot").check()
     trimesh.creation.box((0.06, 0.04, 0.03)).export(tmp_path / "block.stl")
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))  # a user's own weights would be there
-    with pytest.raises(ValueError, match="perception='learned' cannot recognise 'block': there are no segmentation"):
-        EvaluationConfig(part=str(tmp_path / "block.stl")).check()
+    with monkeypatch.context() as changed:
+        changed.setattr(weights, "SHIPPED", tmp_path)
+        with pytest.raises(
+            ValueError, match="perception='learned' cannot recognise 'block': there are no segmentation"
+        ):
+            EvaluationConfig(part=str(tmp_path / "block.stl")).check()
+    learned = EvaluationConfig(part=str(tmp_path / "block.stl")).weights()
+    assert learned is not None
+    assert learned["training"] == "zero-shot"
     assert EvaluationConfig(part=str(tmp_path / "block.stl"), perception="oracle").check().model.name == "block"

@@ -46,7 +46,7 @@ def test_the_table_says_where_its_numbers_come_from(evaluated: tuple[Path, Evalu
     folder, config = evaluated
     summary = summary_of(config, folder, 3)
     text = segmentation_table(summary)
-    assert "tee · tiny.safetensors · sensor good · 3 scenes · seed 7" in text
+    assert "tee · tiny.safetensors, own · sensor good · 3 scenes · seed 7" in text
     assert re.search(r"AP50 +[\d.]+ +[\d.]+ to [\d.]+ +50\.5", text)
     assert "hand-labelled real scenes" in text
     assert "0.9 to 1.0" in text
