@@ -96,9 +96,7 @@ def test_impossible_settings_are_refused(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))  # a user's own weights would be there
     with monkeypatch.context() as changed:
         changed.setattr(weights, "SHIPPED", tmp_path)
-        with pytest.raises(
-            ValueError, match="perception='learned' cannot recognise 'block': there are no segmentation"
-        ):
+        with pytest.raises(ValueError, match="'learned' cannot recognise 'block': there are no segmentation"):
             EvaluationConfig(part=str(tmp_path / "block.stl")).check()
     learned = EvaluationConfig(part=str(tmp_path / "block.stl")).weights()
     assert learned is not None
