@@ -59,7 +59,7 @@ def mssd(T_est: Floats, T_true: Floats, part: PartModel, *, steps: int = STEPS) 
         true = offsets @ (T_true[:3, :3] @ element).T + centre_true
         return float(np.linalg.norm(est - true, axis=1).max())
 
-    return _least(largest, part.symmetry, steps)
+    return _least(largest, part.symmetry, T_true[:3, :3].T @ T_est[:3, :3], steps)
 
 
 def mspd(T_est: Floats, T_true: Floats, part: PartModel, K: Floats, *, steps: int = STEPS) -> float:
@@ -91,7 +91,7 @@ def mspd(T_est: Floats, T_true: Floats, part: PartModel, K: Floats, *, steps: in
         pixels_true = project_points(K, offsets @ (T_true[:3, :3] @ element).T + centre_true)
         return float(np.linalg.norm(pixels_est - pixels_true, axis=1).max())
 
-    return _least(largest, part.symmetry, steps)
+    return _least(largest, part.symmetry, T_true[:3, :3].T @ T_est[:3, :3], steps)
 
 
 def vsd(
@@ -166,10 +166,12 @@ def _vertices(T_est: Floats, part: PartModel) -> tuple[Floats, Floats]:
     return offsets, offsets @ T_est[:3, :3].T + (T_est[:3, :3] @ part.centre + T_est[:3, 3])
 
 
-def _least(error_of: Callable[[Floats], float], symmetry: Symmetry, steps: int) -> float:
-    """Return the least ``error_of`` over the (3, 3) elements of the symmetry group."""
+def _least(error_of: Callable[[Floats], float], symmetry: Symmetry, R_true_est: Floats, steps: int) -> float:
+    """Return the least ``error_of`` over the (3, 3) elements of the symmetry group; for a ball, at equal rotations."""
     if steps < 1:
         raise ValueError(f"steps must be at least 1, got {steps}")
+    if symmetry.sphere:
+        return error_of(R_true_est)
     if symmetry.axis is None:
         return min(error_of(element) for element in symmetry.rotations)
     axis, width, least = symmetry.axis, 2 * np.pi / steps, np.inf

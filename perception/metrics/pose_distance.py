@@ -28,7 +28,8 @@ class PoseSpace:
         centroid: (3,) centroid c of the surface in the part frame [m].
         bases: (S, 3, M) bases B_s [m]. For a finite group, ``B_s = G_s L`` with the square root L of the covariance of
             the surface (M = 3, D = 12). For a solid of revolution about a, ``B_s = l G_s a``, where l squared is the
-            sum of the covariance along and across the axis (M = 1, D = 6).
+            sum of the covariance along and across the axis (M = 1, D = 6). For a ball, whose poses differ by position
+            only, ``B_s = 0`` (M = 1, D = 6).
     """
 
     centroid: Floats
@@ -50,6 +51,8 @@ class PoseSpace:
         centroid, covariance = surface_moments(part.mesh)
         group, axis = part.symmetry.rotations, part.symmetry.axis
         offset = centroid - part.centre
+        if part.symmetry.sphere:
+            return cls(centroid=np.array(part.centre), bases=np.zeros((1, 3, 1)))
         if axis is None:
             covariance = (group @ covariance @ np.swapaxes(group, -1, -2)).mean(axis=0)
             bases = group @ _square_root(covariance)

@@ -107,6 +107,8 @@ def rotations_within(rotation: Floats, others: Floats, symmetry: Symmetry, limit
     Equals a comparison of :meth:`perception.part.Symmetry.distance` with the limit, for many rotations at once. It
     compares cosines, which are not precise enough for limits near 0.
     """
+    if symmetry.sphere:
+        return np.ones(len(others), np.bool_)
     images = rotation @ symmetry.rotations
     if symmetry.axis is None:
         cosines = (images.reshape(-1, 9) @ others.reshape(-1, 9).T - 1) / 2

@@ -61,6 +61,7 @@ def part_note(part: Part) -> str:
     """Return how a part's file was read: unit, size, symmetry and density."""
     order = part.model.symmetry.order
     symmetry = "solid of revolution" if np.isinf(order) else f"symmetry order {order:.0f}"
+    symmetry = "ball" if part.model.symmetry.sphere else symmetry
     size = f"d_max {1000 * part.model.d_max:.0f} mm"
     return f"{Path(part.source).name}: read as {part.unit}, {size}, {symmetry}, {part.density:g} kg/m^3"
 

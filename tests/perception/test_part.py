@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception.geometry import random_rotation, rotation_about, rotation_angle
-from perception.part import PartModel, Symmetry, diameter
+from perception.part import PartModel, Symmetry, diameter, require_volume
 
 Z = np.array([0.0, 0.0, 1.0])
 C2 = Symmetry(rotations=np.stack([np.eye(3), rotation_about(Z, np.pi)]))
@@ -75,6 +75,17 @@ def test_round_distance_is_the_tilt_of_the_axis(tilt: float, spin: float, seed: 
     assert ROUND_FLIP.distance(a, b) == pytest.approx(min(tilt, np.pi - tilt), abs=1e-12, rel=1e-6)
 
 
+def test_every_rotation_of_a_ball_is_the_same() -> None:
+    ball = Symmetry(sphere=True)
+    assert ball.order == np.inf
+    assert ball.distance(rotation_about((1, 2, 3), 2.0), np.eye(3)) == 0.0
+    elements = ball.elements(steps=200)
+    np.testing.assert_array_equal(elements[0], np.eye(3))
+    np.testing.assert_allclose(elements @ np.swapaxes(elements, 1, 2), np.tile(np.eye(3), (200, 1, 1)), atol=1e-12)
+    apart = [np.sort(rotation_angle(elements @ element.T))[1] for element in elements]
+    assert min(apart) > np.deg2rad(15)  # evenly spread: 200 rotations lie some 30 deg apart
+
+
 def test_discrete_distance_by_hand() -> None:
     third = rotation_about(Z, np.deg2rad(120))
     assert np.rad2deg(Symmetry().distance(third, np.eye(3))) == pytest.approx(120)
@@ -109,6 +120,7 @@ def test_order_and_elements() -> None:
         ({"rotations": rotation_about(Z, 1.0)[None]}, "must begin with the identity"),
         ({"rotations": np.stack([np.eye(3), np.diag([1.0, 1.0, -1.0])])}, "must be proper rotation matrices"),
         ({"rotations": np.stack([np.eye(3), 2 * np.eye(3)])}, "must be proper rotation matrices"),
+        ({"axis": Z, "sphere": True}, "a ball's symmetry contains every rotation: name neither an axis nor rotations"),
         ({"axis": np.array([0.0, 1.0])}, r"axis must be \(3,\), got \(2,\)"),
         ({"axis": np.array([0.0, 0.0, 2.0])}, r"axis must be a unit vector, got \[0.0, 0.0, 2.0\]"),
     ],
@@ -154,3 +166,83 @@ def test_model_rejects_an_open_mesh() -> None:
     mesh.update_faces(np.arange(11))
     with pytest.raises(ValueError, match="the mesh of 'lid' must be watertight"):
         PartModel.from_mesh("lid", mesh)
+
+
+def test_model_turns_inverted_faces_in_a_copy() -> None:
+    mesh = trimesh.creation.box((0.03, 0.04, 0.12))
+    mesh.invert()
+    model = PartModel.from_mesh("box", mesh)
+    assert mesh.volume < 0
+    assert model.mesh.volume == pytest.approx(0.03 * 0.04 * 0.12)
+    np.testing.assert_allclose(model.centre, 0.0, atol=1e-12)
+
+
+def boxes(*scales: float) -> trimesh.Trimesh:
+    """Return boxes about the origin, one in the other; a negative scale turns normals inwards."""
+    shells = []
+    for scale in scales:
+        shell = trimesh.creation.box(np.array([0.06, 0.04, 0.04]) * abs(scale))
+        if scale < 0:
+            shell.invert()
+        shells.append(shell)
+    mesh = trimesh.util.concatenate(shells)
+    mesh.apply_translation((0.1, 0.0, 0.0))
+    return mesh
+
+
+@pytest.mark.parametrize(
+    ("scales", "share"), [((1, -0.6), 1 - 0.6**3), ((-1, 0.6), 1 - 0.6**3), ((1, 0.6), 1 + 0.6**3)]
+)
+def test_a_shell_inside_another_keeps_its_winding_relative_to_it(scales: tuple[float, float], share: float) -> None:
+    model = PartModel.from_mesh("box", boxes(*scales))
+    assert model.mesh.volume == pytest.approx(0.06 * 0.04 * 0.04 * share)
+    np.testing.assert_allclose(model.centre, (0.1, 0.0, 0.0), atol=1e-9)
+
+
+def test_a_shell_beside_another_is_turned_outwards() -> None:
+    inverted = trimesh.creation.box((0.03, 0.03, 0.03))
+    inverted.apply_translation((0.05, 0.0, 0.0))
+    inverted.invert()
+    mesh = trimesh.util.concatenate([trimesh.creation.box((0.03, 0.03, 0.03)), inverted])
+    assert PartModel.from_mesh("two", mesh).mesh.volume == pytest.approx(2 * 0.03**3)
+
+
+def test_model_rejects_a_sheet_of_two_sides() -> None:
+    sheet = trimesh.Trimesh([(0, 0, 0), (0.05, 0, 0), (0.05, 0.05, 0), (0, 0.05, 0.01)], [(0, 1, 2), (0, 2, 1)])
+    with pytest.raises(ValueError, match=r"the mesh of 'foil' must enclose a volume, got .* a sheet needs a thickness"):
+        PartModel.from_mesh("foil", sheet)
+
+
+def test_model_rejects_vertices_that_are_not_finite() -> None:
+    mesh = trimesh.creation.box((0.03, 0.04, 0.12))
+    mesh.vertices[0] = np.nan
+    with pytest.raises(ValueError, match="the mesh of 'box' must have faces and finite vertices"):
+        PartModel.from_mesh("box", mesh)
+
+
+def test_model_rejects_surfaces_that_leave_the_centre_outside() -> None:
+    near, far = trimesh.creation.box((0.03, 0.03, 0.03)), trimesh.creation.box((0.0295, 0.0295, 0.0295))
+    far.apply_translation((0.0302, 0.0, 0.0))
+    far.invert()
+    mesh = trimesh.util.concatenate([near, far])
+    with pytest.raises(ValueError, match="the centre of 'two' must lie within its bounds"):
+        require_volume("two", mesh)  # as it is; from_mesh turns the second box
+
+
+@pytest.mark.parametrize(
+    ("side", "message"),
+    [
+        (50.0, r"0\.003 to 1 m, got 86\.6 m: the mesh is probably in mm \(0\.0866 m\)"),
+        (10.0 / np.sqrt(3), r"got 10 m: the mesh is probably in mm \(0\.01 m\) or cm \(0\.1 m\)"),
+        (5e-5, r"got 8\.66e-05 m: a mesh in metres was probably read as mm \(0\.0866 m\)"),
+        (1e-9, r"got 1\.73e-09 m: the mesh must be in metres"),
+    ],
+)
+def test_model_rejects_sizes_that_are_no_parts_and_names_the_unit(side: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PartModel.from_mesh("box", trimesh.creation.box((side, side, side)))
+
+
+@pytest.mark.parametrize("side", [0.003, 0.5])
+def test_model_takes_small_and_large_parts(side: float) -> None:
+    assert PartModel.from_mesh("box", trimesh.creation.box((side, side, side))).d_max == pytest.approx(side * 3**0.5)

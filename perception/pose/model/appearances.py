@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from perception.geometry import Floats, require_shape
 from perception.part import PartModel
 from perception.pose.model._pair_kernels import tangent_frames
-from perception.pose.model.edge_models import EdgeModelConfig, edges_by_view, edges_key
+from perception.pose.model.edge_models import EdgeModelConfig, edges_key, view_of_edges
 from perception.pose.model.thinning import thin_points
 from perception.runtime.cache import Arrays, cached_arrays
+from perception.runtime.threads import in_threads
 
 _VERSION = 2  # of the stored arrays; raise it when the same part and settings give other points
 SUBDIVISIONS = 3  # of the icosahedron whose corners are the directions: 642 of them
@@ -143,18 +144,21 @@ def _compute(part: PartModel, config: EdgeModelConfig, subdivisions: int) -> Arr
     views = np.asarray(trimesh.creation.icosphere(subdivisions).vertices, dtype=np.float64)
     views = views / np.linalg.norm(views, axis=1, keepdims=True)
     radius = config.thinning * part.d_max
-    points, tangents, lengths = [], [], []
-    for direction, (_, seen, along) in zip(views, edges_by_view(part, views, config), strict=True):
-        lengths.append(_drawn_length(seen, along, direction, _CELL * part.d_max))
+    see = view_of_edges(part, config)
+
+    def appearance(direction: Floats) -> tuple[Floats, Floats, float]:
+        _, seen, along = see(direction)
         kept = thin_points(seen, along, radius, config.thinning_angle)
-        points.append(seen[kept])
-        tangents.append(along[kept])
+        return seen[kept], along[kept], _drawn_length(seen, along, direction, _CELL * part.d_max)
+
+    # The first view fills the mesh's lazy caches, which several threads must not do at once.
+    found = [appearance(views[0]), *in_threads(appearance, views[1:])]
     return {
         "views": views,
-        "starts": np.cumsum([0, *(len(p) for p in points)]),
-        "lengths": np.array(lengths),
-        "points": np.concatenate(points),
-        "tangents": np.concatenate(tangents),
+        "starts": np.cumsum([0, *(len(points) for points, _, _ in found)]),
+        "lengths": np.array([length for _, _, length in found]),
+        "points": np.concatenate([points for points, _, _ in found]),
+        "tangents": np.concatenate([tangents for _, tangents, _ in found]),
     }
 
 

@@ -4,7 +4,7 @@ Reconstructed from the abstract of Liu et al., "PPF-MEAM", Sensors 18 (2018). Ed
 not vote together. So one list holds the points of all views, with the views of each point.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -200,31 +200,39 @@ def _compute(part: PartModel, config: EdgeModelConfig) -> Arrays:
 def edges_by_view(
     part: PartModel, directions: Floats, config: EdgeModelConfig
 ) -> Iterator[tuple[Ints, Floats, Floats]]:
-    """Yield the visible samples of each view with their points and tangents in this view.
+    """Yield what :func:`view_of_edges` returns for each of (V, 3) directions from the part's centre to the camera."""
+    yield from map(view_of_edges(part, config), directions)
+
+
+def view_of_edges(part: PartModel, config: EdgeModelConfig) -> Callable[[Floats], tuple[Ints, Floats, Floats]]:
+    """Return a function that returns the visible samples of a view, with their points and tangents in this view.
 
     Samples are at most ``config.thinning / 5`` apart, and each has the same index in all views.
 
     Args:
         part: Part whose edges are sampled.
-        directions: (V, 3) unit directions from the part's centre to the camera.
         config: Definition of an edge.
 
-    Yields:
-        (S,) indices of the samples, their (S, 3) points [m] and their (S, 3) unit tangents, part frame.
+    Returns:
+        A function of a (3,) unit direction from the part's centre to the camera. It returns the (S,) indices of the
+        samples, their (S, 3) points [m] and their (S, 3) unit tangents, part frame. Several threads may call it.
     """
     samples = sample_edges(part.mesh, config.crease, config.thinning * part.d_max / _SAMPLES)
     limits = EdgeLimits(crease=config.crease, depth_jump=config.depth_jump * part.d_max, diameter=part.d_max)
     creases = np.nonzero(samples.crease)[0]
     tangents = samples.tangents.copy()
     tangents[creases] = chain_tangents(samples, creases, config.thinning * part.d_max)
-    for direction in directions:
+
+    def see(direction: Floats) -> tuple[Ints, Floats, Floats]:
         eye = _eye(part, direction, config.distance)
         seen = seen_edges(part.mesh, samples, eye, limits)
         smooth = ~samples.crease[seen]
         points_seen, tangents_seen = samples.points[seen], tangents[seen]
         points_seen[smooth] = inset_points(part.mesh, samples, seen[smooth], eye, config.inset * part.d_max, part.d_max)
         tangents_seen[smooth] = chain_tangents(samples, seen[smooth], _WINDOW * part.d_max)
-        yield seen, points_seen, tangents_seen
+        return seen, points_seen, tangents_seen
+
+    return see
 
 
 def _eye(part: PartModel, direction: Floats, distance: float) -> Floats:

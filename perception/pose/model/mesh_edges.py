@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from perception.geometry import Floats
+from perception.pose.model._edge_kernels import scatter
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -105,8 +106,8 @@ def seen_edges(mesh: trimesh.Trimesh, samples: EdgeSamples, eye: Floats, limits:
         limits: Definition of an edge.
     """
     front = _facing(mesh, eye)[samples.faces]
-    one = front[:, 0] != front[:, 1]
-    chosen = np.nonzero((front.all(axis=1) & samples.crease) | one)[0]
+    one, both = front[:, 0] != front[:, 1], front[:, 0] & front[:, 1]
+    chosen = np.nonzero((both & samples.crease) | one)[0]
     towards = towards_eye(samples.points[chosen], eye)
     lifted = samples.points[chosen] + LIFT * limits.diameter * samples.outward[chosen]
     free = ~_blocked(mesh, lifted, towards)
@@ -165,8 +166,7 @@ def chain_tangents(samples: EdgeSamples, chosen: Ints, radius: float) -> Floats:
         return tangents
     points, chain = samples.points[chosen[short]], _chains(samples.ends[chosen[short]])
     pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
-    pairs = pairs[chain[pairs[:, 0]] == chain[pairs[:, 1]]]
-    values, axes = np.linalg.eigh(_scatter(points, np.concatenate([pairs, pairs[:, ::-1]])))
+    values, axes = np.linalg.eigh(scatter(points, pairs, chain))
     straight = values[:, 2] - values[:, 1] > STRAIGHT * values[:, 2]
     tangents[short[straight]] = axes[straight, :, 2]
     return tangents
@@ -217,19 +217,6 @@ def _chains(ends: Ints) -> Ints:
     links = coo_matrix((np.ones(len(ends)), (compact[:, 0], compact[:, 1])), shape=(len(vertices), len(vertices)))
     chain_of_vertex = connected_components(links, directed=False)[1]
     return np.asarray(chain_of_vertex[compact[:, 0]], dtype=np.int64)
-
-
-def _scatter(points: Floats, pairs: Ints) -> Floats:
-    """Return the (N, 3, 3) covariance of each point and its neighbours; ``pairs`` are (point, neighbour)."""
-    count = np.ones(len(points))
-    np.add.at(count, pairs[:, 0], 1)
-    offsets = points[pairs[:, 1]] - points[pairs[:, 0]]
-    total, square = np.zeros((len(points), 3)), np.zeros((len(points), 3, 3))
-    np.add.at(total, pairs[:, 0], offsets)
-    np.add.at(square, pairs[:, 0], offsets[:, :, None] * offsets[:, None, :])
-    mean = total / count[:, None]
-    scatter: Floats = square / count[:, None, None] - mean[:, :, None] * mean[:, None, :]
-    return scatter
 
 
 def _unit(vectors: Floats) -> Floats:

@@ -59,6 +59,8 @@ def near_symmetries(part: PartModel, surface: SurfaceModel, config: NearSymmetry
         Deterministic. The result is kept in the cache folder; the first call takes some tenths of a second.
     """
     config = config or NearSymmetryConfig()
+    if part.symmetry.sphere:
+        return np.zeros((0, 4, 4))
     key = digest(_VERSION, surface.points, part.symmetry.rotations, part.symmetry.axis, config.most, config.distance)
     return cached_arrays("near_symmetry", key, lambda: _compute(part, surface, config))["motions"]
 

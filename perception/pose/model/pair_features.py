@@ -237,7 +237,9 @@ def _orbits(
         return members, to_representative, members
     # Each point under each rotation of the group; a continuous axis rotates it to the half-plane of azimuth 0.
     rotations = np.repeat(symmetry.rotations[None], len(offsets), axis=0)
-    if symmetry.axis is not None:
+    if symmetry.sphere:
+        rotations = _to_pole(offsets, tangents)[:, None]
+    elif symmetry.axis is not None:
         rotations = _to_half_plane(rotations, offsets, tangents, symmetry.axis, config.orbit_distance * d_max)
     places = np.einsum("msij,mj->msi", rotations, offsets)
     directions = np.einsum("msij,mj->msi", rotations, tangents)
@@ -269,3 +271,10 @@ def _to_half_plane(rotations: Floats, offsets: Floats, tangents: Floats, axis: F
             y, z = frame[1:] @ rotations[m, s] @ tangents[m]
         out[m, s] = rotation_about(axis, -math.atan2(z, y)) @ rotations[m, s]
     return out
+
+
+def _to_pole(offsets: Floats, tangents: Floats) -> Floats:
+    """Return (M, 3, 3) rotations that bring each point of a ball to the x axis and its tangent nearest to z."""
+    x = unit(offsets)
+    y = unit(np.cross(tangents, x))
+    return np.stack([x, y, np.cross(x, y)], axis=1)

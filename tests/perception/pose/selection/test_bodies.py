@@ -12,7 +12,7 @@ from numba import njit
 
 from perception.frame import Workspace
 from perception.geometry import Floats, invert_transform, make_transform, random_rotation, rotation_about
-from perception.part import PartModel
+from perception.part import PartModel, Symmetry, diameter
 from perception.pose.model.surface_models import surface_model
 from perception.pose.selection import bodies as module
 from perception.pose.selection._body_kernels import samples_within
@@ -21,7 +21,13 @@ from tests.perception.pose import observed_part as at
 from tests.perception.pose import posed_parts as pp
 from tests.reference import bodies_twin as twin
 
-CUBE = PartModel.from_mesh("cube", trimesh.creation.box((1.0, 1.0, 1.0)))  # of side 1, about the origin
+CUBE = PartModel(  # of side 1, about the origin
+    name="cube",
+    mesh=trimesh.creation.box((1.0, 1.0, 1.0)),
+    d_max=float(np.sqrt(3)),
+    symmetry=Symmetry(),
+    centre=np.zeros(3),
+)
 ELL = at.ell()
 HERE = make_transform()
 BIN = Workspace(T_world_bin=np.eye(4), inner_size=np.array([6.0, 4.0, 3.0]))
@@ -140,7 +146,8 @@ def test_nothing_lies_in_the_bore_of_a_pipe() -> None:
 def test_long_bodies_touch_far_from_their_middles(origin: tuple[float, float, float]) -> None:
     """Where two rods' ends meet their middles are nearly as far apart as they can be."""
     mesh = trimesh.creation.box((1.0, 0.1, 0.1)).apply_translation(origin)
-    mine = body(PartModel.from_mesh("rod", mesh))
+    rod = PartModel(name="rod", mesh=mesh, d_max=diameter(mesh.vertices), symmetry=Symmetry(), centre=mesh.center_mass)
+    mine = body(rod)
     turn = make_transform(rotation_about((0.0, 1.0, 0.0), 1.0), (0.2, 0.1, 0.7))
     for gap, shared in ((-0.05, True), (0.02, False), (3.0, False)):
         ahead = make_transform(translation=(1.0 + gap, 0.01, 0.01))
