@@ -11,11 +11,11 @@ MOST = 64  # results that are kept of each function
 
 @cache
 def share_models() -> None:
-    """Let cells share the normals of their meshes, and estimators of a part its pair table."""
+    """Let cells share their meshes' triangles with normals, and estimators of a part its pair table."""
     from binpick_env.camera import raster
     from perception.pose import estimator
 
-    for module, name in ((raster, "corner_normals"), (estimator, "build_table")):
+    for module, name in ((raster, "_soup"), (estimator, "build_table")):
         setattr(module, name, remembered(getattr(module, name)))
 
 
@@ -25,10 +25,10 @@ def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
 
     def remember(*arguments: Any, **named: Any) -> Any:
         key = hashlib.sha256(pickle.dumps((arguments, named))).digest()
-        if key not in results:
-            if len(results) == MOST:
-                del results[next(iter(results))]
-            results[key] = function(*arguments, **named)
-        return results[key]
+        result = results.pop(key) if key in results else function(*arguments, **named)
+        results[key] = result  # the last used one is the last to go
+        if len(results) > MOST:
+            del results[next(iter(results))]
+        return result
 
     return remember

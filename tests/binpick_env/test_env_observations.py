@@ -133,11 +133,11 @@ def test_observations_stay_in_their_space(env: BinPickEnv, seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_two_thousand_random_actions_do_no_harm() -> None:
+def test_five_hundred_random_actions_do_no_harm() -> None:
     env = small_env(num_parts=6)
     env.reset(seed=0)
     total = 0.0
-    for action in random_actions(env, 2000):
+    for action in random_actions(env, 500):
         observation, reward, terminated, _, info = env.step(action)
         assert env.observation_space.contains(observation)
         assert all(np.isfinite(value).all() for value in observation.values())

@@ -198,6 +198,7 @@ def test_a_part_without_weights_is_told_how_to_train_them_and_what_else_there_is
         assert told in text
 
 
+@pytest.mark.slow
 def test_the_oracle_loads_no_torch() -> None:
     """Those that work from pixels are asked in test_warm_up.py."""
     code = """

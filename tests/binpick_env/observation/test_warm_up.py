@@ -44,6 +44,7 @@ late_kernels("learned")
 """
 
 
+@pytest.mark.slow
 def test_no_kernel_is_compiled_in_the_first_frame_and_torch_is_loaded_for_a_network_only() -> None:
     run = subprocess.run(
         [sys.executable, "-c", FIRST_FRAME], env=os.environ, capture_output=True, text=True, check=True

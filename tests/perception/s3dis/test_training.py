@@ -114,6 +114,7 @@ def test_the_third_cases_gradient_is_the_twins_difference_quotient(kind: str, di
             assert free.grad[0, point, axis].item() == pytest.approx((values[0] - values[1]) / (2 * step), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_tiny_block_is_overfitted_to_the_right_objects(tmp_path: Path) -> None:
     objects = [("chair", (0.0, 0.0, 0.0)), ("chair", (0.55, 0.0, 0.0)), ("table", (0.0, 0.55, 0.2))]
     room = boxes_room(objects, points=110, name="Area_1/office_1")

@@ -38,7 +38,7 @@ def rng():
 @pytest.mark.parametrize("leftovers", ["nearest", "none"])
 @pytest.mark.parametrize("mask", [True, False])
 @given(seed=seeds)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_grouping_equals_its_naive_twin(seed, mask, leftovers):
     rng = np.random.default_rng(seed)
     noise = rng.uniform(0.5, 6.0)  # from clear blobs to one cloud

@@ -77,6 +77,7 @@ def test_a_training_that_was_killed_goes_on_to_the_bit(config: TrainingConfig, t
     assert_same(weights(whole), weights(resumed))
 
 
+@pytest.mark.slow
 def test_the_loss_falls() -> None:
     config = replace(GRID, batch=2, bf16=False, warmup=0, learning_rate=5e-3)
     losses = [record.losses["total"] for record in trainer(config, steps=40).run()]
