@@ -106,7 +106,7 @@ def generate_part(family: str, index: int, d_max_range: tuple[float, float] = D_
     Args:
         family: Name of the family, one of ``binpick_env.parts.families.FAMILIES``.
         index: Number of the part within its family, from 0 on.
-        d_max_range: Range from which ``d_max`` is drawn log-uniformly [m].
+        d_max_range: Range from which ``d_max`` is drawn log-uniformly [m], of whole millimetres.
 
     Raises:
         ValueError: There is no such family, or no part of it has walls of 1 mm at such a size.

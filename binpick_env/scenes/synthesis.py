@@ -21,6 +21,7 @@ from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.options import CellOptions
 from binpick_env.parts.catalogue import CATALOGUE
+from binpick_env.parts.families.names import is_generated
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
@@ -228,7 +229,7 @@ def scene_settings(config: SceneConfig) -> dict[str, Any]:
     for name, default in _NEWER_FIELDS.items():
         if values[name] == default:
             del values[name]
-    if config.part not in CATALOGUE:
+    if config.part not in CATALOGUE and not is_generated(config.part):
         values["file"] = hashlib.sha256(Path(config.part).read_bytes()).hexdigest()
     return values
 

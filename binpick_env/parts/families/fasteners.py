@@ -6,10 +6,10 @@ from binpick_env.parts.families.drawing import Drawing, cyclic, dihedral
 from binpick_env.parts.families.solid import (
     bend,
     cylinder,
+    hollow,
     hull_of,
-    hull_points,
+    prism,
     regular,
-    total,
     turned,
 )
 
@@ -35,13 +35,12 @@ def socket_screw(rng: np.random.Generator) -> Drawing:
 def hex_nut(rng: np.random.Generator) -> Drawing:
     """Hexagon nut (proportions of ISO 4032); the unit is the width across flats."""
     bore, height = rng.uniform(0.5, 0.66), rng.uniform(0.35, 0.65)
+    z = (-height / 2, height / 2)
     angles = np.pi / 3 * np.arange(7)
     corner = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    sides = []
-    for k in range(6):
-        quad = [*(corner[k : k + 2] / np.sqrt(3)), *(0.99 * bore / 2 * corner[k : k + 2])]
-        sides.append(hull_points([(x, y, z) for x, y in quad for z in (-height / 2, height / 2)]))
-    solid = total(sides) - cylinder(bore, (-1.0, 1.0))
+    outer, inner = corner / np.sqrt(3), 0.99 * bore / 2 * corner
+    sides = [prism(np.vstack([outer[k : k + 2], inner[k : k + 2]]), z) for k in range(6)]
+    solid = hollow(regular(6, 1.0, z), cylinder(bore, (-1.0, 1.0)), sides)
     return Drawing(solid=solid, wall=(1 - bore) / 2, symmetry=dihedral(6))
 
 

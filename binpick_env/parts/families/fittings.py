@@ -23,9 +23,13 @@ def tee_fitting(rng: np.random.Generator) -> Drawing:
     """Tee with equal or smaller branch and a collar at each mouth; the run lies along x, the branch along z."""
     run, branch, small = rng.uniform(0.9, 1.6), rng.uniform(0.95, 1.7), rng.uniform(0.7, 1.0)
     collar, depth, bore = rng.uniform(1.12, 1.35), rng.uniform(0.25, 0.45), rng.uniform(0.65, 0.82)
-    arm = _arm(run, collar, depth).rotated(y=90.0)
     leg = cylinder(small, (0.0, branch)) + cylinder(collar * small, (branch - depth, branch))
-    solid = arm.repeated(2) + leg - rod(bore, (-3, 0, 0), (3, 0, 0)) - cylinder(bore * small, (0.0, 3.0))
+    solid = (
+        _run(run, run, collar, depth).rotated(y=90.0)
+        + leg
+        - rod(bore, (-3, 0, 0), (3, 0, 0))
+        - cylinder(bore * small, (0.0, 3.0))
+    )
     return Drawing(solid=solid, wall=small * (1 - bore) / 2, symmetry=cyclic(2))
 
 
@@ -34,8 +38,7 @@ def cross_fitting(rng: np.random.Generator) -> Drawing:
     long, equal = rng.uniform(0.9, 1.5), chance(rng)
     short = long if equal else long * rng.uniform(0.7, 0.85)
     collar, depth, bore = rng.uniform(1.12, 1.35), rng.uniform(0.2, 0.35), rng.uniform(0.65, 0.82)
-    flat, high = _arm(long, collar, depth).rotated(y=90.0), _arm(short, collar, depth)
-    solid = flat.repeated(2) + high + high.rotated(x=180.0)
+    solid = _run(long, long, collar, depth).rotated(y=90.0) + _run(short, short, collar, depth)
     solid = solid - rod(bore, (-3, 0, 0), (3, 0, 0)) - rod(bore, (0, 0, -3), (0, 0, 3))
     return Drawing(solid=solid, wall=(1 - bore) / 2, symmetry=dihedral(4 if equal else 2, axis=Y))
 
@@ -45,7 +48,7 @@ def y_fitting(rng: np.random.Generator) -> Drawing:
     angle, below, above = rng.uniform(45.0, 60.0), rng.uniform(0.6, 1.0), rng.uniform(1.5, 2.0)
     collar, depth, bore = rng.uniform(1.12, 1.3), rng.uniform(0.25, 0.4), rng.uniform(0.65, 0.82)
     branch = _arm(rng.uniform(1.6, 2.2), collar, depth).rotated(y=angle)
-    solid = _arm(above, collar, depth) + _arm(below, collar, depth).rotated(x=180.0) + branch
+    solid = _run(below, above, collar, depth) + branch
     solid = solid - cylinder(bore, (-3.0, 3.0)) - cylinder(bore, (0.0, 4.0)).rotated(y=angle)
     return Drawing(solid=solid, wall=(1 - bore) / 2)
 
@@ -89,6 +92,12 @@ def hose_barb(rng: np.random.Generator) -> Drawing:
 def _socket(collar: float, depth: float) -> Solid:
     """Return a collar from the origin to ``depth`` along z; it reaches a little back into the bend."""
     return cylinder(collar, (-OVERLAP, depth))
+
+
+def _run(below: float, above: float, collar: float, depth: float) -> Solid:
+    """Return a pipe of diameter 1 along z from ``-below`` to ``above``, with a collar at each end."""
+    ends = ((-below, depth - below), (above - depth, above))
+    return total([cylinder(1.0, (-below, above)), *(cylinder(collar, end) for end in ends)])
 
 
 def _arm(length: float, collar: float, depth: float) -> Solid:

@@ -4,10 +4,10 @@ import re
 from dataclasses import dataclass
 
 from binpick_env.parts.families.registry import FAMILIES, HELD_OUT_FAMILIES, TRAINING_FAMILIES
+from binpick_env.parts.label import GENERATED
 from binpick_env.parts.mesh_file import D_MAX
 
-PREFIX = "generated:"
-_PATTERN = re.compile(r"generated:(\w+):(\d+)(?::([\d.]+)-([\d.]+))?")
+_PATTERN = re.compile(r"generated:(\w+):(\d+)(?::(\d+)-(\d+))?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +17,7 @@ class GeneratedName:
     Attributes:
         family: Name of the family.
         index: Number of the part within its family, from 0 on.
-        d_max_range: Range from which ``d_max`` is drawn [m].
+        d_max_range: Range from which ``d_max`` is drawn [m], of whole millimetres.
     """
 
     family: str
@@ -33,18 +33,21 @@ class GeneratedName:
         if not D_MAX[0] <= low < high <= D_MAX[1]:
             raise ValueError(f"d_max_range must rise within {D_MAX[0]} to {D_MAX[1]} m, got {self.d_max_range}")
 
+        if any(abs(1000 * each - round(1000 * each)) > 1e-6 for each in self.d_max_range):
+            raise ValueError(f"d_max_range must be of whole millimetres, got {self.d_max_range} m")
+
     def __str__(self) -> str:
         """Return the name; the range is left out where it is that of all parts."""
-        plain = f"{PREFIX}{self.family}:{self.index}"
+        plain = f"{GENERATED}{self.family}:{self.index}"
         if self.d_max_range == D_MAX:
             return plain
-        low, high = (1000 * each for each in self.d_max_range)
-        return f"{plain}:{low:.6g}-{high:.6g}"
+        low, high = (round(1000 * each) for each in self.d_max_range)
+        return f"{plain}:{low}-{high}"
 
 
 def is_generated(name: str) -> bool:
     """Tell whether a name is meant to be that of a generated part."""
-    return name.startswith(PREFIX)
+    return name.startswith(GENERATED)
 
 
 def parse_name(name: str) -> GeneratedName:
@@ -56,16 +59,13 @@ def parse_name(name: str) -> GeneratedName:
     match = _PATTERN.fullmatch(name)
     if match is None:
         raise ValueError(
-            f"a generated part is named generated:FAMILY:INDEX or generated:FAMILY:INDEX:LOW-HIGH (d_max in mm), "
+            f"a generated part is named generated:FAMILY:INDEX or generated:FAMILY:INDEX:LOW-HIGH (d_max in whole mm), "
             f"with a family of {', '.join(FAMILIES)}; got {name!r}"
         )
     family, index, low, high = match.groups()
     if low is None:
         return GeneratedName(family=family, index=int(index))
-    try:
-        d_max_range = float(low) / 1000, float(high) / 1000
-    except ValueError:
-        raise ValueError(f"the range of d_max must be two numbers in mm, such as 50-110, got {name!r}") from None
+    d_max_range = int(low) / 1000, int(high) / 1000
     return GeneratedName(family=family, index=int(index), d_max_range=d_max_range)
 
 
@@ -74,7 +74,7 @@ def training_parts(count: int, d_max_range: tuple[float, float] = D_MAX) -> list
 
     Args:
         count: Number of parts. Each family gives as many as any other, or one more.
-        d_max_range: Range from which ``d_max`` is drawn [m].
+        d_max_range: Range from which ``d_max`` is drawn [m], of whole millimetres.
 
     Raises:
         ValueError: ``count`` is under 1, or the range is none of a part's sizes.

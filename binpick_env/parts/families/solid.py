@@ -73,6 +73,12 @@ def total(solids: Iterable[Solid]) -> Solid:
     return joined
 
 
+def hollow(body: Solid, bore: Solid, pieces: Iterable[Solid]) -> Solid:
+    """Return ``body`` with a bore that its pieces, given here, leave open."""
+    mesh = body.mesh - bore.mesh
+    return Solid(mesh=mesh, filled=mesh, pieces=tuple(piece for solid in pieces for piece in solid.pieces))
+
+
 def hull_of(*solids: Solid) -> Solid:
     """Return the convex hull of solids as one piece."""
     mesh = Manifold.batch_hull([solid.mesh for solid in solids])

@@ -1,13 +1,16 @@
 """Generated parts: clean solids of the promised size, the same bits each time, with convex pieces that cover them."""
 
+import time
+
 import numpy as np
 import pytest
 import trimesh
 
-from binpick_env.parts import Part, load_part
+from binpick_env.parts import Part, detect_symmetry, load_part
 from binpick_env.parts.families import FAMILIES, parse_name
-from binpick_env.parts.families.generator import LEAST_SHARE, LEAST_WALL, drawing_of
+from binpick_env.parts.families.generator import LEAST_SHARE, LEAST_WALL, drawing_of, generated_design
 from binpick_env.parts.families.solid import as_trimesh
+from binpick_env.parts.surface import SurfaceProbe
 
 EVERY = [f"generated:{family}:{index}" for family in FAMILIES for index in (0, 1)]
 
@@ -26,6 +29,13 @@ def test_generated_part_is_one_clean_solid_of_a_parts_size(part: Part) -> None:
     np.testing.assert_allclose(part.model.centre, 0.0, atol=1e-9)
     assert part.mass == pytest.approx(mesh.volume * part.density)
     assert part.source == part.model.name
+
+
+def test_surface_has_no_slits(part: Part) -> None:
+    """Bodies that are joined at a common face must leave no face inside the material."""
+    mesh = part.model.mesh.copy().apply_scale(1 / part.model.d_max)
+    points, faces = trimesh.sample.sample_surface(mesh, 300, seed=0)
+    assert not mesh.contains(points + 1e-4 * mesh.face_normals[faces]).any()
 
 
 def test_walls_are_thick_enough(part: Part) -> None:
@@ -48,3 +58,51 @@ def test_pieces_are_convex_and_cover_the_part_without_its_bores(part: Part) -> N
     bounds = np.array([piece.bounds for piece in part.pieces])
     over = np.maximum(part.model.mesh.bounds[0] - bounds[:, 0].min(0), bounds[:, 1].max(0) - part.model.mesh.bounds[1])
     assert np.abs(over).max() < 0.005 * part.model.d_max
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_same_name_gives_the_same_bits_and_another_index_another_part(family: str) -> None:
+    first, again, other = (generated_design(parse_name(f"generated:{family}:{index}")) for index in (2, 2, 3))
+    np.testing.assert_array_equal(first.mesh.vertices, again.mesh.vertices)
+    np.testing.assert_array_equal(first.mesh.faces, again.mesh.faces)
+    for one, two in zip(first.pieces, again.pieces, strict=True):
+        np.testing.assert_array_equal(one.vertices, two.vertices)
+    # Another shape, not only another size.
+    scaled = [np.sort(each.mesh.extents) / np.linalg.norm(each.mesh.extents) for each in (first, other)]
+    volumes = [each.mesh.volume / np.linalg.norm(each.mesh.extents) ** 3 for each in (first, other)]
+    assert not np.allclose(scaled[0], scaled[1], rtol=1e-3) or abs(volumes[0] / volumes[1] - 1) > 1e-3
+
+
+def test_a_part_is_built_within_half_a_second() -> None:
+    taken = []
+    for family in FAMILIES:
+        start = time.perf_counter()
+        generated_design(parse_name(f"generated:{family}:4"))
+        taken.append(time.perf_counter() - start)
+    assert np.median(taken) < 0.2
+    assert max(taken) < 2.0  # 0.06 s here; a busy machine takes longer
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_declared_symmetries_fit_the_surface(family: str) -> None:
+    model = load_part(f"generated:{family}:0").model
+    unit = model.mesh.copy().apply_scale(1 / model.d_max)  # the probe's distances lose their precision on small meshes
+    probe = SurfaceProbe(unit, samples=300)
+    steps = 5 if model.symmetry.axis is not None else 1
+    elements = model.symmetry.elements(steps)
+    for rotation in elements[1 :: max(1, len(elements) // 4)]:
+        assert probe.error(rotation, np.zeros(3)) < 0.005
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FAMILIES)
+def test_declared_symmetry_is_all_that_is_detected(family: str) -> None:
+    model = load_part(f"generated:{family}:1").model
+    found = detect_symmetry(model.mesh.copy().apply_scale(1 / model.d_max))
+    if model.symmetry.order > 24 and np.isfinite(model.symmetry.order):  # no more than 12 turns about an axis are found
+        assert model.symmetry.order % found.order == 0
+        return
+    assert found.order == model.symmetry.order
+    assert len(found.rotations) == len(model.symmetry.rotations)
+    for rotation in found.rotations:
+        assert min(model.symmetry.distance(np.eye(3), rotation), np.pi) < 0.05
