@@ -1,9 +1,13 @@
 """Configuration of the site. `make docs` builds it without a network, and the built pages load nothing from one."""
 
+import ast
+import dataclasses
 import inspect
 import re
+import textwrap
 import tomllib
 from pathlib import Path
+from typing import Any
 
 from sphinx.application import Sphinx
 
@@ -35,6 +39,8 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_title = f"binpick {release}"
 html_show_sphinx = False
 html_copy_source = False
@@ -55,6 +61,66 @@ def write_environments(app: Sphinx) -> None:
             path.write_text(text)
 
 
+def field_comments(kind: type) -> dict[str, str]:
+    """Return the comment of each field of a dataclass: the one on its line, or else the lines above it."""
+    source = textwrap.dedent(inspect.getsource(kind))
+    lines = source.splitlines()
+    (node,) = ast.parse(source).body
+    found = {}
+    for field in (each for each in getattr(node, "body", []) if isinstance(each, ast.AnnAssign)):
+        words = re.findall(r"  # (.*)", lines[(field.end_lineno or 0) - 1])
+        above = field.lineno - 2
+        while not words and lines[above].lstrip().startswith("# "):
+            above -= 1
+        words = words or [line.strip()[2:] for line in lines[above + 1 : field.lineno - 1]]
+        if words:
+            found[ast.unparse(field.target)] = " ".join(words)
+    return found
+
+
+def list_fields(_app: Sphinx, what: str, _name: str, kind: Any, _options: Any, lines: list[str]) -> None:
+    """Add the fields of a dataclass with their comments, where its docstring lists none."""
+    if what != "class" or not dataclasses.is_dataclass(kind) or any(line.startswith(":ivar") for line in lines):
+        return
+    comments = field_comments(kind)
+    if comments:
+        lines += ["", *(f":ivar {name}: {text[:1].upper()}{text[1:]}" for name, text in comments.items()), ""]
+
+
+def leave_out_signature(
+    _app: Sphinx, what: str, _name: str, kind: Any, _options: Any, _signature: str, returned: str
+) -> tuple[str, str] | None:
+    """Show protocols, which are never made, without the arguments that Python gives them."""
+    return ("", returned) if what == "class" and getattr(kind, "_is_protocol", False) else None
+
+
+_TAGS = r"(?:</?(?:em|span)[^>]*>|\s)*"
+_ARRAY = "numpy.ndarray [ tuple [ Any , ... ] , numpy.dtype [ numpy.X ] ]"
+_ARRAY_MARKUP = _TAGS.join(re.escape(word) for word in _ARRAY.split(" "))
+_ARRAY_MARKUP = (
+    _ARRAY_MARKUP.replace(r"numpy\.", r"(?:numpy\.)?").replace("X", r"(\w+)").replace(r"\.\.\.", r"(?:\.\.\.|…)")
+)
+
+
+def tidy(_app: Sphinx, _page: str, _template: str, context: dict[str, Any], _doctree: Any) -> None:
+    """Write an array's type as ``NDArray[float64]``, as the code does, and mark options, which are not broken."""
+
+    def short(match: re.Match[str]) -> str:
+        opened: list[str] = []
+        for tag in re.findall(r"<[^>]+>", match[0]):  # what is left open at the end of the match stays open
+            if tag.startswith("</") and opened and not opened[-1].startswith("</"):
+                opened.pop()
+            else:
+                opened.append(tag)
+        return f"NDArray[{match[1]}]{''.join(opened)}"
+
+    body = re.sub(_ARRAY_MARKUP, short, context.get("body", ""))
+    context["body"] = body.replace('<span class="pre">--', '<span class="pre option">--')
+
+
 def setup(app: Sphinx) -> None:
-    """Register what is generated before the pages are read."""
+    """Register what is generated before the pages are read, and what makes the reference readable."""
     app.connect("builder-inited", write_environments)
+    app.connect("autodoc-process-docstring", list_fields, priority=900)  # behind napoleon
+    app.connect("autodoc-process-signature", leave_out_signature)
+    app.connect("html-page-context", tidy)

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +15,8 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
     os.environ.setdefault(_name, "1")
 
 import cv2  # noqa: E402
+
+from tests.chromium import chromium  # noqa: E402
 
 cv2.setNumThreads(1)
 
@@ -43,3 +46,9 @@ def _memory_is_given_back() -> Iterator[None]:
         if sys.platform == "linux":
             ctypes.CDLL(None).malloc_trim(0)
         _kept = _resident()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started

@@ -6,12 +6,17 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from policies.commands.command_line import parse
 from policies.commands.registry import COMMANDS
 from tests.pages import PAGES, ROOT, command_lines, name_of
+
+# of the window, and of what the contents would have to be scrolled by
+WIDTHS = """[document.documentElement.scrollWidth,
+    Math.max(...[...document.querySelectorAll('.content')].map(e => e.scrollWidth - e.clientWidth))]"""
 
 
 class References(HTMLParser):
@@ -73,12 +78,19 @@ def test_every_page_is_in_the_table_of_contents() -> None:
     assert {page for page in pages if page != "index" and page not in index.splitlines()} == set()
 
 
-@pytest.mark.slow
-def test_the_site_builds_without_a_warning_and_loads_nothing_from_a_network(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", str(tmp_path)]
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the site as `make docs` does, once for all tests."""
+    built = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", str(built)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    pages = sorted(tmp_path.rglob("*.html"))
+    return built
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_loads_nothing_from_a_network(site: Path) -> None:
+    pages = sorted(site.rglob("*.html"))
     assert len(pages) > 20
     for page in pages:
         references = References()
@@ -88,7 +100,47 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_a_network(tmp_
             assert not re.match(r"(https?:)?//", reference), (page, reference)
             if not reference.startswith("data:"):
                 assert (page.parent / reference.split("?")[0]).exists(), (page, reference)
-    styles = "".join(path.read_text(errors="replace") for path in tmp_path.rglob("*.css"))
+    styles = "".join(path.read_text(errors="replace") for path in site.rglob("*.css"))
     assert re.findall(r"(?:url\(|@import )['\"]?https?:[^)'\"]+", styles) == []
-    assert "GSR" in (tmp_path / "explanation" / "numbers.html").read_text()
-    assert "PoseEstimator" in (tmp_path / "reference" / "perception.html").read_text()
+
+
+@pytest.mark.slow
+def test_the_reference_shows_fields_and_short_types(site: Path) -> None:
+    assert "GSR" in (site / "explanation" / "numbers.html").read_text()
+    text = re.sub(r"<[^>]+>", "", (site / "reference" / "perception.html").read_text())
+    assert "PoseEstimator" in text
+    assert "low – Canny’s weak threshold [grey levels]" in text  # the comment of a field
+    assert "points_cam (NDArray[float64]) – (N, 3) float64 points in the camera frame [m]." in text
+    assert "dtype[" not in text
+    assert "Picker(*args" not in re.sub(r"<[^>]+>", "", (site / "reference" / "policies.html").read_text())
+
+
+@pytest.mark.slow
+def test_every_page_is_as_wide_as_the_window_and_at_peace_in_a_browser(site: Path, browser: Any) -> None:
+    page = browser.new_page()
+    faults: list[str] = []
+    page.on("console", lambda message: faults.append(f"{page.url}: {message.text}"))
+    page.on("pageerror", lambda error: faults.append(f"{page.url}: {error}"))
+    page.on("request", lambda request: request.url.startswith(("file:", "data:")) or faults.append(request.url))
+    for path in sorted(site.rglob("*.html")):
+        page.goto(path.as_uri())
+        for width in (400, 1400):
+            page.set_viewport_size({"width": width, "height": 900})
+            assert page.evaluate(WIDTHS) == [width, 0], (path, width)
+        assert page.evaluate("[...document.images].filter(e => !e.complete || !e.naturalWidth).length") == 0, path
+    assert faults == []
+
+
+@pytest.mark.slow
+def test_an_equations_number_does_not_lie_on_the_equation(site: Path, browser: Any) -> None:
+    for width in (400, 1400):
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        page.goto((site / "explanation" / "method.html").as_uri())
+        page.wait_for_selector("div.math mjx-container")
+        boxes = page.evaluate(
+            """[...document.querySelectorAll('div.math:has(.eqno)')].map(e =>
+            [e.querySelector('.eqno'), e.querySelector('mjx-math')].map(e => e.getBoundingClientRect().toJSON()))"""
+        )
+        assert len(boxes) == 2
+        for number, equation in boxes:
+            assert number["bottom"] <= equation["top"] + 1 or number["left"] >= equation["right"], width

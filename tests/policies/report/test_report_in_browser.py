@@ -1,7 +1,5 @@
 """The page in headless Chromium: filters, enlarging, both widths, and neither errors nor requests."""
 
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +18,6 @@ from tests.policies.fake_cell import abstain, attempt, bin_result
 from tests.policies.report.test_report import compared
 
 pytestmark = pytest.mark.slow
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 PICKS = [attempt(GraspOutcome.MISSED), attempt(GraspOutcome.DELIVERED), attempt(GraspOutcome.DELIVERED), abstain()]
 
 
@@ -51,17 +38,6 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if file != path:
             file.unlink()  # the page must do without them
     return path
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium on this machine")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as runner:
-        chromium = runner.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield chromium
-        chromium.close()
 
 
 @pytest.fixture(scope="module")
