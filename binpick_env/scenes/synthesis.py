@@ -21,7 +21,7 @@ from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.options import CellOptions
 from binpick_env.parts.catalogue import CATALOGUE
-from binpick_env.parts.families.names import is_generated
+from binpick_env.parts.families.names import is_generated, training_parts
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
@@ -32,6 +32,9 @@ from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
 
 _log = logging.getLogger(__name__)
+MANY_PARTS = "generated"  # stands for parts of all training families, for the training of one network for every part
+SCENES_PER_PART = 4  # number of successive scenes of one part of `MANY_PARTS`
+FILLING = 0.4  # largest volume of the parts' hulls, as a share of the bin's, that is dropped into a bin of `MANY_PARTS`
 _NEWER_FIELDS = {"symmetry": "detect", "density": None, "bin": None, "friction": None}  # and their defaults
 MIXTURE: dict[SensorPreset, float] = {
     "good": 0.7,
@@ -45,7 +48,8 @@ class SceneConfig:
     """Configuration of synthetic scenes; a scene depends on it and on its index alone.
 
     Attributes:
-        part: Catalogue name, or path of a mesh file.
+        part: Name of a part, or path of a mesh file. :data:`MANY_PARTS` takes another generated part of the training
+            families for every few scenes, as many parts as the bin holds, from ``num_parts``.
         unit: Length unit of a mesh file; the most plausible one by default.
         seed: Seed of all scenes; scene i is drawn from (seed, i).
         num_parts: Smallest and largest number of parts in a bin.
@@ -96,6 +100,10 @@ class SceneConfig:
         """Return the cell that the scenes are captured in."""
         return replace(self.options().cell(), camera=self.camera)
 
+    def at(self, index: int) -> "SceneConfig":
+        """Return the configuration of scene ``index``, whose part is a single one."""
+        return _of_many(self, index // SCENES_PER_PART) if self.part == MANY_PARTS else self
+
 
 class CapturedScene(NamedTuple):
     """A labelled scene and the capture that it was extracted from."""
@@ -122,9 +130,20 @@ def _scene_setup(config: SceneConfig) -> _SceneSetup:
     return _SceneSetup(part, simulation, camera)
 
 
+@lru_cache(maxsize=1)
+def _of_many(config: SceneConfig, number: int) -> SceneConfig:
+    """Return the configuration of the scenes of generated part ``number``."""
+    one = replace(config, part=training_parts(number + 1)[number])
+    low, high = config.num_parts
+    hull = one.options().load_part().model.mesh.convex_hull.volume
+    room = max(1, int(FILLING * np.prod(one.cell().bin.inner_size) / hull))
+    return replace(one, num_parts=(min(low, room), min(high, room)))
+
+
 def make_scene(config: SceneConfig, index: int) -> CapturedScene:
     """Simulate, capture and label scene ``index``; the result does not depend on other scenes or on the process."""
     rng = np.random.default_rng(np.random.SeedSequence([config.seed, index]))
+    config = config.at(index)
     setup = _scene_setup(config)
     simulation, camera, model = setup.simulation, setup.camera, setup.part.model
     count = int(rng.integers(config.num_parts[0], config.num_parts[1] + 1))
@@ -204,7 +223,7 @@ def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int 
     """
     if count < 1 or workers < 1:
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
-    config.options().load_part()  # before the folder gets a configuration
+    config.at(0).options().load_part()  # before the folder gets a configuration
     ensure_folder_config(config, folder)
     missing = []
     for index in range(count):
@@ -229,7 +248,7 @@ def scene_settings(config: SceneConfig) -> dict[str, Any]:
     for name, default in _NEWER_FIELDS.items():
         if values[name] == default:
             del values[name]
-    if config.part not in CATALOGUE and not is_generated(config.part):
+    if config.part not in (*CATALOGUE, MANY_PARTS) and not is_generated(config.part):
         values["file"] = hashlib.sha256(Path(config.part).read_bytes()).hexdigest()
     return values
 

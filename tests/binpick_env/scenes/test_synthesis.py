@@ -14,9 +14,13 @@ from binpick_env.camera.depth_camera import DepthCamera, default_pose
 from binpick_env.camera.shading import Light
 from binpick_env.config import BinConfig, CameraConfig
 from binpick_env.parts import load_part
+from binpick_env.parts.families.names import training_parts
 from binpick_env.scenes import synthesis
 from binpick_env.scenes.synthesis import (
+    FILLING,
+    MANY_PARTS,
     MIXTURE,
+    SCENES_PER_PART,
     SceneConfig,
     draw_light,
     ensure_folder_config,
@@ -261,6 +265,28 @@ def test_part_and_bin_are_those_of_the_configuration() -> None:
     friction = setup.simulation.model.geom_friction[:, 0]
     assert np.count_nonzero(friction == 0.3) > 5
     assert 0.5 not in friction
+
+
+def test_many_parts_follow_each_other_and_fill_the_bin_by_their_size() -> None:
+    many = SceneConfig(part=MANY_PARTS, num_parts=(5, 40), camera=CAMERA)
+    names = [many.at(k * SCENES_PER_PART).part for k in range(6)]
+    assert names == training_parts(6)
+    assert many.at(SCENES_PER_PART - 1) == many.at(0)
+    for k in (0, 4):  # a long shaft, and a spool of 186 mm
+        config = many.at(k * SCENES_PER_PART)
+        low, high = config.num_parts
+        hull = load_part(config.part).model.mesh.convex_hull.volume
+        assert high * hull <= FILLING * np.prod(BinConfig().inner_size) < (high + 1) * hull
+        assert low == min(5, high)
+    assert many.at(7 * SCENES_PER_PART).num_parts == (5, 40)
+
+
+def test_a_scene_of_many_parts_is_that_of_its_part_and_index() -> None:
+    many = SceneConfig(part=MANY_PARTS, num_parts=(2, 3), camera=CAMERA)
+    index = 5 * SCENES_PER_PART + 1
+    scene, direct = (make_scene(config, index).scene for config in (many, many.at(index)))
+    assert scene.part.startswith("generated:pulley")
+    assert same(scene, direct)
 
 
 @pytest.mark.parametrize("damage", ["{", "[]", "3", ""])
