@@ -18,12 +18,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Train a segmentation network on the scenes of one part, or one network for several.
+    """Train a segmentation network on the scenes of one part, one network for several, or one for every part.
 
     The same command resumes where it was stopped. Under torchrun, several processes train together.
     """
 
-    part: tuple[str, ...] = ("tee",)  # parts that the network is for; it is found under their names
+    # parts that the network is for; generated: a network for every part, from scenes of generated parts
+    part: tuple[str, ...] = ("tee",)
     # folders of generate-scenes to train on; runs/scenes-PART-0 of each part unless given
     scenes: tuple[Path, ...] = ()
     # folders of generate-scenes to evaluate on; the first scenes of each folder unless given
@@ -49,8 +50,11 @@ class Arguments:
     @property
     def name(self) -> str:
         """Name that the weights are kept under."""
-        from perception.segmentation.weights import SHARED
+        from binpick_env.scenes.synthesis import MANY_PARTS
+        from perception.segmentation.weights import GENERAL, SHARED
 
+        if self.part == (MANY_PARTS,):
+            return GENERAL
         return part_label(self.part[0]) if len(self.part) == 1 else SHARED
 
     def config(self) -> "TrainingConfig":
@@ -110,12 +114,10 @@ def _train_at(args: Arguments, place: "Place") -> str | None:
     import torch
     from tqdm import tqdm
 
-    from binpick_env.parts.part import load_part
     from perception.segmentation.training.dataset import BatchMaker, load_packed, scene_sources
     from perception.segmentation.training.loop import Trainer
     from perception.segmentation.training.progress import TrainingDisplay
     from perception.segmentation.training.run import RunConfig, resume, train
-    from perception.shape import shape_signature
 
     config, out, leader = args.config(), args.folder(), place.rank == 0
     training, validation = args.files()
@@ -125,9 +127,8 @@ def _train_at(args: Arguments, place: "Place") -> str | None:
     device = args.device or (f"cuda:{place.local_rank}" if torch.cuda.is_available() else "cpu")
     trainer = Trainer(config, batches, args.length(config, len(scenes), place.world), device)
     names = tuple(part_label(part) for part in args.part)
-    shapes = {name: shape_signature(load_part(part).model) for name, part in zip(names, args.part, strict=True)}
     uses = {"trained_on": scene_sources(training), "validated_on": scene_sources(validation)}
-    sources = {"shapes": shapes, **uses}
+    sources = {**_known_shapes(args.part), **uses}
     run = RunConfig(
         sources=sources, out=out, parts=names, initial=args.initial, evaluate_every=args.evaluate_every, leader=leader
     )
@@ -136,6 +137,24 @@ def _train_at(args: Arguments, place: "Place") -> str | None:
     with TrainingDisplay(out, args.tensorboard, leader) as display:
         last = train(trainer, validation, run, display.on_step, display.on_line)
     return _deliver(args, out, last) if leader else None
+
+
+def _known_shapes(parts: tuple[str, ...]) -> dict[str, Any]:
+    """Return what the record of the weights says of the shapes that were trained on."""
+    from binpick_env.parts.families import HELD_OUT_FAMILIES, TRAINING_FAMILIES
+    from binpick_env.parts.label import GENERATED
+    from binpick_env.parts.part import load_part
+    from binpick_env.scenes.synthesis import MANY_PARTS
+    from perception.shape import shape_signature
+
+    if parts != (MANY_PARTS,):
+        return {"shapes": {part_label(part): shape_signature(load_part(part).model) for part in parts}}
+    families = {"families": TRAINING_FAMILIES, "held_out_families": HELD_OUT_FAMILIES}
+    return {
+        "general": True,
+        "shapes": {},
+        **{name: [GENERATED + family for family in names] for name, names in families.items()},
+    }
 
 
 def _deliver(args: Arguments, out: Path, last: "Log") -> str:

@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from binpick_env.parts.families import HELD_OUT_FAMILIES, TRAINING_FAMILIES
 from binpick_env.parts.part import load_part
 from perception.segmentation.scene import SCENES_NOTE
 from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS
-from perception.segmentation.weights import find_weights, load_network, load_record
+from perception.segmentation.weights import FoundWeights, find_weights, load_network, load_record
 from policies.commands import train_segmentation as train
 from tests.perception.disc_scene import disc_scene
 from tests.policies.commands.command_calls import script, start
@@ -55,6 +56,18 @@ def test_one_network_for_two_parts_is_trained_installed_and_found(
     assert "installed" in capsys.readouterr().out
     assert call("--part", "bracket", "tee", "--steps", "2") == 0  # nothing is left to do
     assert "resuming at step 2" in capsys.readouterr().out
+
+
+def test_the_network_for_every_part_knows_its_families_and_serves_parts_without_their_own(tmp_path: Path) -> None:
+    (tmp_path / "runs" / "scenes-bracket-0").rename(tmp_path / "runs" / "scenes-generated-0")
+    assert call("--part", "generated", "--steps", "1") == 0
+    installed = tmp_path / "cache" / "weights" / "general.safetensors"
+    trained, held_out = (load_part(f"generated:{names[0]}:0").model for names in (TRAINING_FAMILIES, HELD_OUT_FAMILIES))
+    assert find_weights(trained) == FoundWeights(path=installed, training="family")
+    assert find_weights(held_out) == FoundWeights(path=installed, training="zero-shot")
+    assert find_weights(load_part("tee").model).path.name == "shared.safetensors"
+    record = load_record(installed)
+    assert record["held_out_families"] == [f"generated:{name}" for name in HELD_OUT_FAMILIES]
 
 
 def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
