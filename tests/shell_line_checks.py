@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from binpick_env.parts import load_part
 from perception.s3dis.presets import ROWS
 from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.weights import SHIPPED, find_weights, load_record
@@ -121,10 +122,10 @@ def check_train_segmentation(line: Line) -> None:
     assert kept <= names, names
     assert any(name.startswith("events.out.tfevents") for path in line.out.rglob("*") if (name := path.name))
     (part,) = line.args.part
-    found = find_weights(Path(part).stem)
-    assert f"installed {found} " in line.shown
-    record = load_record(found)
-    assert record["parts"] == [Path(part).stem]
+    found = find_weights(load_part(part).model)
+    assert f"installed {found.path} " in line.shown
+    assert found.training == "own"
+    record = load_record(found.path)
     assert record["steps"] >= 1
 
 
