@@ -15,7 +15,7 @@ from binpick_env.parts.families.generator import generated_design
 from binpick_env.parts.families.names import GeneratedName, is_generated, parse_name
 from binpick_env.parts.mesh_file import D_MAX, read_mesh
 from binpick_env.parts.pieces import convex_pieces
-from binpick_env.parts.symmetry import detect_symmetry
+from binpick_env.parts.symmetry import SymmetrySettings, detect_symmetry
 from binpick_env.parts.unit import Unit, check_unit
 from perception.geometry import Floats
 from perception.part import PartModel, Symmetry
@@ -52,6 +52,7 @@ def load_part(
     unit: Unit | None = None,
     symmetry: SymmetryChoice = "detect",
     density: float | None = None,
+    symmetry_tolerance: float | None = None,
 ) -> Part:
     """Load a part by its catalogue name, generate one, or read an STL, OBJ or PLY file.
 
@@ -64,6 +65,8 @@ def load_part(
         symmetry: "detect" measures the group of a file's mesh (that of any other part is declared); "none" is the
             trivial group.
         density: Density of the material [kg/m^3]; None takes the part's own, or 2700 (aluminium) for a file.
+        symmetry_tolerance: Largest deviation of a file's surface from itself under a symmetry [m]; None takes 0.5 % of
+            its ``d_max``.
 
     Returns:
         The part. Catalogue parts and the last 32 generated ones are built once per process.
@@ -83,6 +86,12 @@ def load_part(
         check_density(density)
     if not (isinstance(symmetry, Symmetry) or symmetry in ("detect", "none")):
         raise ValueError(f"symmetry must be 'detect', 'none' or a Symmetry, got {symmetry!r}")
+    settings = SymmetrySettings(metres=symmetry_tolerance)
+    if symmetry_tolerance is not None and (symmetry != "detect" or name in CATALOGUE or is_generated(name)):
+        raise ValueError(
+            "symmetry_tolerance belongs to mesh files whose symmetry is detected, "
+            f"got {symmetry_tolerance} for {name!r} with symmetry={symmetry!r}"
+        )
     if name in CATALOGUE:
         if unit is not None:
             raise ValueError(f"unit belongs to mesh files; {name!r} is a catalogue part, in metres; got unit={unit!r}")
@@ -97,7 +106,7 @@ def load_part(
             f"part must be one of {', '.join(CATALOGUE)}, generated:FAMILY:INDEX, or a path to a .stl, .obj or .ply "
             f"file, got {name!r}"
         )
-    return _file_part(path, unit, symmetry, density or FILE_DENSITY)
+    return _file_part(path, unit, settings if symmetry == "detect" else _group(symmetry), density or FILE_DENSITY)
 
 
 def generate_part(family: str, index: int, d_max_range: tuple[float, float] = D_MAX) -> Part:
@@ -144,11 +153,11 @@ def _generated_part(name: GeneratedName, symmetry: SymmetryChoice, density: floa
     return _assemble(replace(drawn, symmetry=group, density=density or drawn.density), source=str(name))
 
 
-def _file_part(path: Path, unit: Unit | None, symmetry: SymmetryChoice, density: float) -> Part:
+def _file_part(path: Path, unit: Unit | None, symmetry: Symmetry | SymmetrySettings, density: float) -> Part:
     mesh = read_mesh(path, unit)
     unit_read = str(mesh.metadata["unit"])
     mesh.apply_translation(-mesh.center_mass)
-    group = detect_symmetry(mesh) if symmetry == "detect" else _group(symmetry)
+    group = symmetry if isinstance(symmetry, Symmetry) else detect_symmetry(mesh, symmetry)
     drawn = Design(name=path.stem, mesh=mesh, pieces=convex_pieces(mesh), density=density, symmetry=group)
     return _assemble(drawn, source=str(path.resolve()), unit=unit_read)
 

@@ -11,15 +11,16 @@ import numpy as np
 import trimesh
 from scipy.optimize import minimize
 
-from binpick_env.parts.surface import FEW, SurfaceProbe
+from binpick_env.parts.surface import SurfaceProbe
 from perception.geometry import Floats, require_shape, rotation_about, rotation_angle
 from perception.part import Symmetry, diameter
 
 log = logging.getLogger(__name__)
-MAX_ORDER = 12  # largest order of a discrete axis; beyond, a part counts as round or as not symmetric
+MAX_ORDER = 36  # largest order of an axis that is searched, such as that of a gear of 36 teeth
 INERTIA_TOLERANCE = 0.02  # relative difference below which two moments of inertia may be equal
-SAME_ROTATION = np.deg2rad(2.0)  # group elements closer than this are one; the smallest group step is 30 deg
-MAX_ELEMENTS = 60  # largest group: the icosahedron's; only prisms of higher order would have more
+SAME_ROTATION = np.deg2rad(2.0)  # group elements closer than this are one; the smallest group step is 10 deg
+MAX_ELEMENTS = 2 * MAX_ORDER  # largest group: that of a prism of the largest order
+NEARLY = 3.0  # tolerances within which a rotation that is no symmetry is reported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,11 +28,14 @@ class SymmetrySettings:
     """How closely a rotated surface must coincide with itself."""
 
     tolerance: float = 0.005  # largest deviation [d_max]: 0.4 mm at 80 mm, about what the camera resolves at 0.9 m
+    metres: float | None = None  # the same, as a length [m], in place of ``tolerance``
     samples: int = 2000  # number of surface points that are rotated and measured
 
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 0.1:
             raise ValueError(f"tolerance must be in (0, 0.1) of d_max, got {self.tolerance}")
+        if self.metres is not None and not 0 < self.metres < 0.1:
+            raise ValueError(f"symmetry_tolerance must be over 0 and under 0.1 m, got {self.metres}")
         if self.samples < 100:
             raise ValueError(f"samples must be at least 100, got {self.samples}")
 
@@ -66,13 +70,12 @@ def detect_symmetry(mesh: trimesh.Trimesh, settings: SymmetrySettings | None = N
         settings: Tolerance and number of samples.
 
     Returns:
-        The group: trivial, cyclic, dihedral (orders 2 to 12), polyhedral, or a continuous axis with or without a flip.
-
-    Raises:
-        ValueError: The part is a sphere, whose orientation has no meaning.
+        The group: trivial, cyclic, dihedral (orders 2 to `MAX_ORDER`), polyhedral, a continuous axis with or without a
+        flip, or every rotation (a ball).
 
     Note:
-        Deterministic; 0.1 to 5 s, the longest for a cube's equal moments.
+        Deterministic; 0.1 to 5 s, the longest for a cube's equal moments. One line of the log names the rotation that
+        comes nearest to a symmetry, if it deviates by less than `NEARLY` tolerances.
     """
     return _Search(mesh, settings or SymmetrySettings()).group()
 
@@ -83,7 +86,12 @@ class _Search:
     def __init__(self, mesh: trimesh.Trimesh, settings: SymmetrySettings) -> None:
         self.probe = SurfaceProbe(mesh, samples=settings.samples)
         self.centre: Floats = np.asarray(mesh.center_mass, dtype=np.float64)
-        self.tolerance = settings.tolerance * diameter(mesh.vertices)
+        d_max = diameter(mesh.vertices)
+        self.tolerance = settings.tolerance * d_max if settings.metres is None else settings.metres
+        if self.tolerance >= 0.1 * d_max:
+            raise ValueError(
+                f"symmetry_tolerance must be under a tenth of d_max, {0.1 * d_max:.3g} m, got {self.tolerance:.3g} m"
+            )
         self.moments, axes = np.linalg.eigh(mesh.moment_inertia)
         self.axes: Floats = axes.T
 
@@ -97,7 +105,8 @@ class _Search:
         pairs = (middle - low < INERTIA_TOLERANCE * high, high - middle < INERTIA_TOLERANCE * high)
         round_axes = [axis for axis in self.axes if any(pairs) and self._is_round(axis)]
         if len(round_axes) > 1:
-            raise ValueError("the part is a sphere: its orientation has no meaning, no pose can be checked against it")
+            log.info("the part is a ball: its orientation is free")
+            return Symmetry(sphere=True)
         if round_axes:
             return self._revolved(round_axes[0])
         generators = [turn for axis in self.axes for turn in self._turns(axis)]
@@ -110,7 +119,32 @@ class _Search:
             angles = np.deg2rad(np.arange(0.0, 180.0, 1.0))
             directions = np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v
             generators += [rotation_about(axis, np.pi) for axis in self._swept(directions, np.pi, enough=1)]
-        return Symmetry(rotations=self._closed(generators))
+        found = self._closed(generators)
+        self._report_near_symmetry(found)
+        return Symmetry(rotations=found)
+
+    def _report_near_symmetry(self, found: Floats) -> None:
+        """Log the turn about a principal axis that comes nearest to a symmetry, and what was not searched."""
+        nearest, turn = NEARLY * self.tolerance, ""
+        for axis in self.axes:
+            for order in range(2, 7):
+                rotation = rotation_about(axis, 2 * np.pi / order)
+                if rotation_angle(found @ rotation.T).min() < SAME_ROTATION:
+                    continue
+                few = self.probe.turned(rotation, self.centre, stride=20)
+                error = self.probe.error(rotation, self.centre) if self.probe.distance(few).max() < nearest else np.inf
+                if error < nearest:
+                    nearest, turn = error, f"{360 // order} deg about {np.round(axis, 2).tolist()}"
+        if turn:
+            log.info(
+                "no symmetry, but nearly: a turn by %s deviates by %.2f mm, the tolerance is %.2f mm; "
+                "symmetry_tolerance of load_part [m] changes it",
+                turn,
+                nearest * 1e3,
+                self.tolerance * 1e3,
+            )
+        if len(found) > 1:
+            log.info("%d rotations map the part onto itself; orders above %d are unsearched", len(found), MAX_ORDER)
 
     def _is_round(self, axis: Floats) -> bool:
         golden = np.pi * (3 - np.sqrt(5))  # multiples of the golden angle avoid every polygon's own steps
@@ -130,7 +164,7 @@ class _Search:
 
     def _swept(self, directions: Floats, angle: float, *, enough: int = 12) -> list[Floats]:
         """Return up to ``enough`` axes, refined from (N, 3) directions, about which a turn by ``angle`` fits."""
-        costs = np.array([self.cost(d, angle, rough=True) for d in directions])
+        costs = np.array([self.cost(d, angle) for d in directions])
         near = np.abs(directions @ directions.T) > np.cos(np.deg2rad(7.0))
         minima = np.flatnonzero(costs <= np.where(near, costs, np.inf).min(axis=1))
         found: list[Floats] = []
@@ -142,12 +176,10 @@ class _Search:
                 break
         return found
 
-    def cost(self, axis: Floats, angle: float, *, rough: bool = False) -> float:
+    def cost(self, axis: Floats, angle: float) -> float:
         """Return the mean distance [m] between the turned surface and the still one; smooth, for searching only."""
         points = self.probe.turned(rotation_about(axis, angle), self.centre, stride=20)
-        return float(
-            np.mean(self.probe.rough_distance(points) if rough else self.probe.distance(points, neighbours=FEW))
-        )
+        return float(np.mean(self.probe.distance(points)))
 
     def _refined(self, axis: Floats, angle: float) -> Floats:
         """Tilt ``axis`` to where the turned surface fits best."""
@@ -167,24 +199,35 @@ class _Search:
         return np.asarray(refined / np.linalg.norm(refined))
 
     def _closed(self, generators: list[Floats]) -> Floats:
-        """Multiply the generators until nothing new appears, keeping what the surface confirms."""
-        group: list[Floats] = [np.eye(3)]
-        queue = list(group)
-        while queue:
-            element = queue.pop(0)
-            for generator in generators:
-                product = element @ generator
-                if len(group) < MAX_ELEMENTS and rotation_angle(np.array(group) @ product.T).min() > SAME_ROTATION:
-                    group.append(product)
-                    queue.append(product)
-        kept = [g for g in group if self.probe.error(g, self.centre) <= 2 * self.tolerance]
-        if len(kept) < len(group):
-            log.warning(
-                "%d of %d products of symmetries do not fit the surface and were left out",
-                len(group) - len(kept),
-                len(group),
-            )
-        return np.stack(kept)
+        """Return the group of the generators; one is left out where a product would not fit the surface.
+
+        The deviations of two turns add up in their product, which may therefore reach twice the tolerance.
+        """
+        group = np.eye(3)[None]
+        kept: list[Floats] = []
+        for generator in generators:
+            if rotation_angle(group @ generator.T).min() <= SAME_ROTATION:
+                continue
+            larger = _products([*kept, generator])
+            if larger is None or any(self.probe.error(g, self.centre) > 2 * self.tolerance for g in larger):
+                log.warning("a turn that fits the surface was left out, as its products with the others do not fit it")
+                continue
+            kept.append(generator)
+            group = larger
+        return group
+
+
+def _products(generators: list[Floats]) -> Floats | None:
+    """Return the (G, 3, 3) group that generators make, the identity first; None if it has too many elements."""
+    group: list[Floats] = [np.eye(3)]
+    for element in group:
+        for generator in generators:
+            product = element @ generator
+            if rotation_angle(np.array(group) @ product.T).min() > SAME_ROTATION:
+                if len(group) == MAX_ELEMENTS:
+                    return None
+                group.append(product)
+    return np.stack(group)
 
 
 def _hemisphere() -> Floats:

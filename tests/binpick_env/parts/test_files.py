@@ -202,5 +202,7 @@ def test_bad_choices(save: Callable[..., Path]) -> None:
         load_part("tee", symmetry="some")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="unit must be one of m, mm, cm, inch, got 'feet'"):
         load_part(save(ell()), unit="feet")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"symmetry_tolerance belongs to mesh files .* got 0.001 for 'tee'"):
+        load_part("tee", symmetry_tolerance=0.001)
     with pytest.raises(ValueError, match="unit belongs to mesh files; 'tee' is a catalogue part"):
         load_part("tee", unit="mm")

@@ -2,13 +2,17 @@
 
 import gc
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
-from binpick_env.parts import PieceSettings, convex_pieces
+from binpick_env.parts import PieceSettings, convex_pieces, pieces
+from binpick_env.parts.decomposition import decompose
+from binpick_env.parts.simplification import simplified
+from binpick_env.parts.surface import hausdorff_distance
 from tests.binpick_env.parts.part_meshes import ell, naive_distance
 
 creation = trimesh.creation
@@ -32,21 +36,19 @@ def test_coacd_cuts_an_ell_in_two_and_repeats_itself(
 def test_coacd_covers_a_bored_wheel(cache: Path) -> None:
     outline = [(0.006, 0.0), (0.04, 0.0), (0.04, 0.013), (0.02, 0.013), (0.02, 0.047), (0.006, 0.047), (0.006, 0.0)]
     mesh = creation.revolve(outline, sections=24)  # part_a with coarse facets: a quarter of the time
-    pieces = convex_pieces(mesh, PieceSettings(iterations=20, resolution=500))
-    assert len(pieces) <= 16
-    assert max(len(piece.vertices) for piece in pieces) <= 64
-    covered = trimesh.boolean.union(list(pieces), engine="manifold")
+    found = convex_pieces(mesh, PieceSettings(iterations=20, resolution=500))
+    assert len(found) <= 16
+    assert max(len(piece.vertices) for piece in found) <= 64
+    covered = trimesh.boolean.union(list(found), engine="manifold")
     assert covered.volume == pytest.approx(mesh.volume, rel=0.05)
     outer = mesh.vertices[naive_distance(mesh.convex_hull, mesh.vertices) < 1e-9]
     assert naive_distance(covered, outer[::5]).max() < 1.5e-3
 
 
 def test_the_cache_answers_the_second_time(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import coacd
-
     first = convex_pieces(ell(), FAST)
     assert len(list(cache.rglob("*.npz"))) == 1
-    monkeypatch.setattr(coacd, "run_coacd", None)  # a second cut would fail
+    monkeypatch.setattr(pieces, "decompose", None)  # a second cut would fail
     second = convex_pieces(ell(), FAST)
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.vertices, b.vertices)
@@ -89,10 +91,85 @@ def test_a_cache_that_cannot_be_written_costs_a_warning_only(
     assert "cannot write" in caplog.text
 
 
-def test_no_piece_at_all_is_an_error(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import coacd
+def egg(subdivisions: int) -> trimesh.Trimesh:
+    mesh = creation.icosphere(subdivisions=subdivisions)
+    mesh.apply_scale((0.024, 0.02, 0.016))
+    return mesh
 
-    monkeypatch.setattr(coacd, "run_coacd", lambda *_, **__: [])
+
+def test_a_convex_mesh_is_its_own_piece_and_keeps_its_volume(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(pieces, "decompose", None)
+    with caplog.at_level(logging.INFO):
+        (piece,) = convex_pieces(egg(5))
+    assert len(piece.vertices) <= 64
+    assert piece.is_volume
+    assert piece.volume == pytest.approx(egg(5).volume, rel=1e-6)
+    assert hausdorff_distance(egg(5), piece) < 0.0012
+    assert re.search(r"a hull of 10242 vertices was thinned to 64; it deviates by at most [01]\.\d\d mm", caplog.text)
+
+
+def test_a_dented_mesh_is_not_convex(cache: Path) -> None:
+    assert len(convex_pieces(ell(), FAST)) == 2
+
+
+def dumbbell() -> trimesh.Trimesh:
+    outline = [(0.0, -0.04), (0.015, -0.035), (0.015, -0.02), (0.006, -0.015), (0.006, 0.015), (0.015, 0.02)]
+    mesh = creation.revolve([*outline, (0.015, 0.035), (0.0, 0.04)], sections=256)
+    return mesh.subdivide()
+
+
+def test_many_faces_are_simplified_before_they_are_cut(cache: Path, caplog: pytest.LogCaptureFixture) -> None:
+    mesh = dumbbell()
+    assert len(mesh.faces) > 10_000
+    with caplog.at_level(logging.INFO):
+        found = convex_pieces(mesh, FAST)
+    assert "faces were simplified to" in caplog.text
+    assert sum(piece.volume for piece in found) == pytest.approx(mesh.volume, rel=0.15)
+
+
+def test_simplification_keeps_walls_and_states_when_it_cannot() -> None:
+    drilled = [creation.box((0.06, 0.04, 0.001))]
+    drilled += [
+        creation.cylinder(radius=0.004, height=0.01, sections=128, transform=moved(x)) for x in (-0.02, 0, 0.02)
+    ]
+    plate = trimesh.boolean.difference(drilled, engine="manifold")
+    coarse = simplified(plate, 0.0007)
+    assert coarse is not None
+    assert coarse.is_watertight
+    assert coarse.volume == pytest.approx(plate.volume, rel=0.02)
+    assert len(coarse.faces) < len(plate.faces)
+    assert hausdorff_distance(plate, coarse) <= 0.0007
+    assert simplified(creation.box((0.06, 0.04, 0.0001)), 0.02) is None
+
+
+def moved(x: float) -> np.ndarray:
+    return trimesh.transformations.translation_matrix((x, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("program", "message"),
+    [
+        (
+            "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
+            "of 36 faces ended by signal SIGSEGV: its surfaces",
+        ),
+        ("raise SystemExit('out of memory')", "the convex decomposition of a mesh of 36 faces failed: out of memory"),
+        ("import os; os._exit(3)", "failed: no message"),
+        ("import time; time.sleep(60)", r"took more than 1 s; simplify it first"),
+    ],
+)
+def test_a_decomposition_that_ends_otherwise_is_an_error(tmp_path: Path, program: str, message: str) -> None:
+    (tmp_path / "program.py").write_text(program)
+    mesh = trimesh.Trimesh(ell().vertices, np.tile(ell().faces, (2, 1))[:36], process=False)
+    message = message.replace("36", str(len(mesh.faces)))
+    with pytest.raises(ValueError, match=message):
+        decompose(mesh, {}, program=tmp_path / "program.py", timeout=1.0)
+
+
+def test_no_piece_at_all_is_an_error(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pieces, "decompose", lambda *_, **__: [])
     with pytest.raises(ValueError, match="CoACD found no convex piece in a mesh of"):
         convex_pieces(ell(), FAST)
 
