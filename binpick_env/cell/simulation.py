@@ -70,6 +70,9 @@ class Simulation:
         # Noslip keeps a gripped part from creeping. While nothing is gripped it would cost two thirds of the time.
         self._noslip = int(self.model.opt.noslip_iterations)
         self.substeps = round(CONTROL_PERIOD / self.model.opt.timestep)
+        # A uniform quadratic B-spline through the targets: smooth in velocity, half a control period late.
+        times = [k / self.substeps for k in range(1, self.substeps + 1)]
+        self._spline = [(s, 0.5 * np.array([(1 - s) ** 2, 1 + 2 * s - 2 * s**2, s**2])) for s in times]
         self.gripper_open = 0.0
         self.reset()
         if config.robot.jaw is not None:
@@ -248,13 +251,10 @@ class Simulation:
         jaw_from, jaw_to = self._jaw_ramp(gripper)
         self.model.opt.noslip_iterations = self._noslip if self.gripped() else 0
         let_go = self.touched_by_robot() if jaw_to < jaw_from else None
-        for k in range(1, self.substeps + 1):
-            s = k / self.substeps
-            # A uniform quadratic B-spline through the targets: smooth in velocity, half a control period late.
-            blend = 0.5 * np.array([(1 - s) ** 2, 1 + 2 * s - 2 * s**2, s**2])
-            reference = blend @ np.stack([self._target_before, self.target, goal])
+        targets = np.stack([self._target_before, self.target, goal])
+        for s, blend in self._spline:
             velocity = velocity_before + s * (velocity_after - velocity_before)
-            self.data.ctrl[:6] = reference + self._lag * velocity + inertial
+            self.data.ctrl[:6] = blend @ targets + self._lag * velocity + inertial
             self.data.ctrl[self._gripper_actuator] = 255.0 * (jaw_from + s * (jaw_to - jaw_from))
             mujoco.mj_step(self.model, self.data)
         self._target_before, self.target, self.gripper_target = self.target, goal, jaw_to

@@ -4,12 +4,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
+from weakref import WeakMethod
 
 import numpy as np
 import pytest
 
 from binpick_env.candidates import PoseCandidate
 from binpick_env.cell.robot import HOME
+from binpick_env.config import CameraConfig
 from binpick_env.env import BinPickEnv
 from binpick_env.observation.candidate_from_pose import make_candidate
 from binpick_env.observation.labelled_capture import LabelledCapture
@@ -23,6 +25,7 @@ from tests.last_frame import change_depth
 
 Fault = Callable[[Floats], Floats]
 SMALL_BIN = 6
+SMALL_IMAGE = CameraConfig(width=640, height=480)  # a frame takes a quarter of the time of the default's
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,9 +96,16 @@ class HandCell:
 
 
 def hand_cell(part: str, num_parts: int = 2, **options: Any) -> HandCell:
-    env = BinPickEnv(part, num_parts=(1, num_parts), perception="oracle", **options)
+    env = BinPickEnv(part, num_parts=(1, num_parts), perception="oracle", camera=SMALL_IMAGE, **options)
     cell = HandCell(env, ScriptedPicker(env))
-    env.step = cell._step  # type: ignore[method-assign,assignment]
+    step = WeakMethod(cell._step)  # an environment that held its cell would be freed by the garbage collector alone
+
+    def logged(action: Floats) -> Any:
+        log_step = step()
+        assert log_step is not None
+        return log_step(action)
+
+    env.step = logged  # type: ignore[method-assign,assignment]
     return cell
 
 

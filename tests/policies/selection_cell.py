@@ -8,9 +8,9 @@ import pytest
 from policies.grasping.outcomes import GraspOutcome
 from policies.selection.env import GraspSelectionEnv
 from tests.policies.fake_cell import attempt
-from tests.policies.hand_cell import HandCell
+from tests.policies.hand_cell import SMALL_IMAGE, HandCell
 
-SMALL: dict[str, Any] = {"num_parts": (1, 3), "perception": "oracle", "threads": 1}
+SMALL: dict[str, Any] = {"num_parts": (1, 3), "perception": "oracle", "threads": 1, "camera": SMALL_IMAGE}
 Result = tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]
 
 

@@ -75,6 +75,7 @@ def test_the_arm_is_home_and_the_pile_asleep_at_each_frame(fast: GraspSelectionE
     assert fast.cell.unjudged() == frozenset()
 
 
+@pytest.mark.slow
 def test_two_fast_copies_stay_equal() -> None:
     envs = [GraspSelectionEnv(**SMALL, fast=True) for _ in range(2)]
     for env in envs:
@@ -156,6 +157,7 @@ def test_what_the_frame_did_not_show_has_its_effect(part: str, outcome: GraspOut
     env.close()
 
 
+@pytest.mark.slow
 def test_pairs_start_from_one_state_and_agree(full: GraspSelectionEnv, fast: GraspSelectionEnv) -> None:
     pairs = list(paired_attempts(full, fast, seed=40, count=3))
     assert [pair.agree for pair in pairs] == [True, True, True]

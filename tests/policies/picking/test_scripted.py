@@ -43,7 +43,7 @@ def play(cell: HandCell, seed: int, num_parts: int = SMALL_BIN) -> tuple[BinResu
 # --- recovery --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("part", CATALOGUE)
+@pytest.mark.parametrize("part", ["tee", *(pytest.param(part, marks=SLOW) for part in CATALOGUE if part != "tee")])
 def test_a_part_laid_flat_in_the_middle_is_delivered_and_parked(part: str) -> None:
     cell = hand_cell(part, 1)
     env = cell.env
@@ -68,8 +68,7 @@ def test_a_part_laid_flat_in_the_middle_is_delivered_and_parked(part: str) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("yaw", [0.0, 1.1, 2.2])
-@pytest.mark.parametrize("place", [(-0.1, -0.05), (0.13, 0.08)])
+@pytest.mark.parametrize(("place", "yaw"), [((-0.1, -0.05), 1.1), ((0.13, 0.08), 0.0), ((0.13, 0.08), 2.2)])
 def test_a_part_anywhere_in_the_bin_is_delivered(tees: HandCell, place: tuple[float, float], yaw: float) -> None:
     tees.lay(tees.flat(*place, yaw=yaw))
     assert tees.picker.pick().outcome is GraspOutcome.DELIVERED
@@ -85,9 +84,9 @@ def test_a_pose_that_is_two_millimetres_off_is_good_enough(tees: HandCell, monke
 # --- end to end ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [101, pytest.param(102, marks=SLOW)])
-def test_a_small_bin_is_emptied_but_for_one_part_at_most(tees: HandCell, seed: int) -> None:
-    result, _ = play(tees, seed)
+@pytest.mark.slow
+def test_a_small_bin_is_emptied_but_for_one_part_at_most(tees: HandCell) -> None:
+    result, _ = play(tees, 101)
     assert result.parts_total == SMALL_BIN
     assert result.delivered >= SMALL_BIN - 1
     assert result.delivered == sum(pick.delivered for pick in result.picks) == tees.env.delivered
@@ -100,14 +99,14 @@ def test_a_small_bin_is_emptied_but_for_one_part_at_most(tees: HandCell, seed: i
 @pytest.mark.parametrize("part", ["part_a", "part_b", "part_c", "bracket"])
 def test_small_bins_of_the_other_parts(part: str) -> None:
     cell = hand_cell(part, 4)
-    assert sum(play(cell, seed, num_parts=4)[0].delivered for seed in (101, 102)) >= 7
+    assert play(cell, 101, num_parts=4)[0].delivered >= 3
 
 
 @pytest.mark.slow
 def test_the_same_bin_is_picked_the_same_way_twice(tees: HandCell) -> None:
-    first, first_actions = play(tees, 101, num_parts=3)
-    again, again_actions = play(tees, 101, num_parts=3)
-    other, other_actions = play(hand_cell("tee", SMALL_BIN), 101, num_parts=3)
+    first, first_actions = play(tees, 101, num_parts=2)
+    again, again_actions = play(tees, 101, num_parts=2)
+    other, other_actions = play(hand_cell("tee", SMALL_BIN), 101, num_parts=2)
     for result, actions in ((again, again_actions), (other, other_actions)):
         assert [decision(pick) for pick in result.picks] == [decision(pick) for pick in first.picks]
         np.testing.assert_array_equal(actions, first_actions)

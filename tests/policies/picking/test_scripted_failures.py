@@ -233,6 +233,6 @@ def test_a_part_that_was_lost_before_is_not_this_attempts(tees: HandCell, monkey
 def test_a_part_too_wide_for_the_jaw_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path))
     trimesh.creation.box((0.09, 0.09, 0.09)).export(tmp_path / "block.stl")
-    env = BinPickEnv(str(tmp_path / "block.stl"), num_parts=1, perception="oracle")
+    env = BinPickEnv(str(tmp_path / "block.stl"), num_parts=1, perception="oracle", symmetry="none")
     with pytest.raises(ValueError, match=r"the jaw \(stroke 85 mm\) finds no grasp on 'block'"):
         ScriptedPicker(env)

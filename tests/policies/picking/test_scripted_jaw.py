@@ -66,6 +66,6 @@ def test_an_attempt_opens_no_wider_than_the_jaw(fast: bool, monkeypatch: pytest.
 def test_a_part_wider_than_the_jaw_is_refused_with_both_widths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path))
     trimesh.creation.box((0.06, 0.06, 0.06)).export(tmp_path / "block.stl")
-    env = BinPickEnv(str(tmp_path / "block.stl"), num_parts=1, perception="oracle", config=NARROW)
+    env = BinPickEnv(str(tmp_path / "block.stl"), num_parts=1, perception="oracle", symmetry="none", config=NARROW)
     with pytest.raises(ValueError, match=r"jaw \(stroke 50 mm\) finds no grasp on 'block'.*60 mm apart"):
         ScriptedPicker(env)

@@ -13,12 +13,12 @@ from policies.grasping.grasps import flip
 from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome
 from policies.motion.planner import StraightLegs, Tool
 from policies.picking.scripted import Plan, ScriptedPicker
-from tests.policies.hand_cell import HandCell
+from tests.policies.hand_cell import SMALL_IMAGE, HandCell
 
 
 @pytest.fixture(scope="module")
 def cell() -> HandCell:
-    env = BinPickEnv("tee", num_parts=(1, 3), perception="oracle", threads=1)
+    env = BinPickEnv("tee", num_parts=(1, 3), perception="oracle", threads=1, camera=SMALL_IMAGE)
     return HandCell(env, ScriptedPicker(env))
 
 

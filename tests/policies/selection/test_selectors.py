@@ -28,6 +28,7 @@ from policies.selection.selectors import (
     run_selector,
 )
 from tests.policies.hand_cell import Shifted, decision
+from tests.policies.selection_cell import SMALL
 
 RNG = np.random.default_rng(0)
 
@@ -110,8 +111,8 @@ def test_candidates_without_their_last_row_have_a_reason() -> None:
 @pytest.fixture(scope="module")
 def env() -> Iterator[GraspSelectionEnv]:
     # The noise makes some attempts fail, which the picker remembers.
-    noise = PoseNoise(translation=0.006)
-    env = GraspSelectionEnv("tee", num_parts=(4, 8), perception="oracle", pose_noise=noise, threads=1)
+    noise = PoseNoise(translation=0.008)
+    env = GraspSelectionEnv(**SMALL | {"num_parts": (2, 4)}, pose_noise=noise)
     yield env
     env.close()
 
@@ -142,12 +143,13 @@ class Shuffled:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [31, 32])
-def test_the_weighted_score_picks_as_the_scripted_picker_does(env: GraspSelectionEnv, seed: int) -> None:
+def test_the_weighted_score_picks_as_the_scripted_picker_does(env: GraspSelectionEnv) -> None:
     """Bit for bit over a bin with failures, from the features alone: whatever the order of the rows."""
+    seed = 40
     scripted = run_bin(env.cell, ScriptedPicker(env.cell), seed)
     expected = [decision(pick) for pick in scripted.picks]
     assert len(expected) >= 3
+    assert {pick.success for pick in scripted.picks} == {False, True}
     for selector in (WeightedSelector(), Shuffled(WeightedSelector())):
         weighted = run_selector(env, selector, seed)
         assert [decision(pick) for pick in weighted.picks] == expected
@@ -165,10 +167,11 @@ def test_an_episode_and_a_bin_are_the_same(env: GraspSelectionEnv) -> None:
         assert as_bin.termination == termination
 
 
+@pytest.mark.slow
 def test_a_random_bin_depends_on_its_seed_alone(env: GraspSelectionEnv) -> None:
     def choices(seed: int) -> list[Any]:
         picker = SelectorPicker(env.cell, RandomSelector(), env.picker)
-        env.cell.reset(seed=seed, options={"num_parts": 4})
+        env.cell.reset(seed=seed, options={"num_parts": 3})
         picker.reset()
         return [decision(picker.pick()) for _ in range(2)]
 

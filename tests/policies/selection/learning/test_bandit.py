@@ -23,6 +23,7 @@ def files(folder: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in folder.glob("*.npz")}
 
 
+@pytest.mark.slow
 def test_a_bandit_finds_what_delivers(tmp_path: Path, toys: None) -> None:
     config = BanditConfig(network=SelectorNetConfig(hidden=0), epochs=40, learning_rate=0.05, batch_size=64)
     seen: list[int] = []
@@ -133,10 +134,10 @@ def test_an_epoch_says_how_well_it_does() -> None:
 
 @pytest.mark.slow
 def test_both_train_in_the_cell(tmp_path: Path) -> None:
-    cells = Cells(min_parts=2, max_parts=3, fast=True)
+    cells = Cells(min_parts=1, max_parts=2, fast=True, width=640, height=480)
     log = AttemptLog(folder=tmp_path / "bandit", cells=cells, behaviour=Behaviour(), seed=31)
     path, _ = train_bandit(BanditConfig(network=SMALL_NET, epochs=2), log, 2)
-    train_ppo(PpoConfig(n_steps=4, batch_size=4, n_epochs=1), cells, tmp_path / "ppo", 4, initial=path)
+    train_ppo(PpoConfig(n_steps=2, batch_size=2, n_epochs=1), cells, tmp_path / "ppo", 2, initial=path)
 
 
 @pytest.mark.parametrize(

@@ -26,10 +26,11 @@ from tests.policies.selection.learning.toy_selection import CELLS, SMALL_NET, at
 TINY = PpoConfig(network=SMALL_NET, n_steps=32, batch_size=16)
 
 
+@pytest.mark.slow
 def test_ppo_finds_what_delivers(tmp_path: Path, toys: None) -> None:
     config = PpoConfig(network=SMALL_NET, n_steps=256, batch_size=64, learning_rate=3e-3, ent_coef=0.0, gamma=0.0)
     progress: list[int] = []
-    path = train_ppo(config, CELLS, tmp_path, 4000, on_progress=lambda picks, rates: progress.append(picks))
+    path = train_ppo(config, CELLS, tmp_path, 2000, on_progress=lambda picks, rates: progress.append(picks))
     assert progress[0] == 256
     assert success(LearnedSelector(path)) > success(RandomSelector()) + 0.2
     record = load_selector_record(path)
