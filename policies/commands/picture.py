@@ -1,4 +1,4 @@
-"""``binpick picture``: a settled bin with the arm over it, or what perception makes of a frame."""
+"""``binpick picture``: a settled bin with the arm over it, what perception makes of a frame, or generated parts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(CellArguments):
-    """Draw a settled bin with the arm over it, or a frame with its segments or poses.
+    """Draw a settled bin with the arm over it, a frame with its segments or poses, or a part of every family.
 
     No GL driver is needed.
     """
 
-    # the cell, or a frame with true and predicted segments, or a frame with poses
-    show: Literal["cell", "segmentation", "poses"] = "cell"
-    seed: int = 0  # seed of the pile
+    # the cell, a frame with true and predicted segments, a frame with poses, or one generated part of each family
+    show: Literal["cell", "segmentation", "poses", "families"] = "cell"
+    seed: int = 0  # seed of the pile, or index of the generated parts
     width: int = 0  # width of the picture [px]; 0 takes 1200 for the cell and 1280 for a frame
     height: int = 0  # height of the picture [px]; 0 takes 800 for the cell and 960 for a frame
     out: Path | None = None  # PNG file; docs/SHOW.png unless given
@@ -62,6 +62,10 @@ def _draw(args: Arguments) -> str:
 
     if args.show == "cell":
         picture = cell_picture(args.options(), args.seed, *args.size())
+    elif args.show == "families":
+        from policies.report.contact_sheet import family_sheet
+
+        picture = family_sheet(args.seed)
     else:
         picture = (_segmentation if args.show == "segmentation" else _poses)(args.scenes())
     out = args.out or Path("docs") / f"{args.show}.png"
