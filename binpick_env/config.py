@@ -10,8 +10,9 @@ if TYPE_CHECKING:
 
 CONTROL_PERIOD = 0.04  # time between two actions of the environment [s]
 Backend = Literal["rays", "egl", "raster"]
-SensorPreset = Literal["none", "good", "harsh"]
-SensorChoice = SensorPreset | Literal["mixed"]  # mixed: a preset drawn for each scene
+SensorPreset = Literal["none", "good", "harsh", "stereo", "tof"]
+SensorChoice = SensorPreset | Literal["mixed", "all"]  # mixed, all: a preset drawn for each scene
+AppearanceChoice = Literal["clean", "varied"]  # varied: an appearance drawn for each scene
 Perception = Literal["oracle", "gt_masks", "learned"]  # what finds the parts in a frame
 GRIPPER_STROKE = 0.085  # largest distance between the 2F-85's pads [m]: its data sheet
 

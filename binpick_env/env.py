@@ -92,7 +92,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     | `density` | `None` | density of the part [kg/m^3]; the catalogue's, or aluminium's for a file |
     | `num_parts` | `(20, 30)` | number of parts, or the range it is drawn from |
     | `perception` | `"learned"` | `"learned"` (from pixels), `"gt_masks"` (true segments) or `"oracle"` (true poses) |
-    | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"` |
+    | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"`, `"stereo"`, `"tof"` |
     | `bin` | `None` | length, width and height inside the bin [m]; (0.36, 0.26, 0.12) unless given |
     | `jaw` | `None` | largest opening of the jaw [m], at most the 2F-85's 0.085; action 0 opens it that far |
     | `friction` | `None` | sliding friction coefficient of parts, bin and tray; 0.5 unless given |

@@ -1,6 +1,12 @@
+from .appearance import Appearance as Appearance
+from .appearance import draw_appearance as draw_appearance
 from .depth_camera import Capture as Capture
 from .depth_camera import DepthCamera as DepthCamera
 from .depth_camera import default_pose as default_pose
+from .depth_sensor import DepthSensor as DepthSensor
+from .depth_sensor import TrueView as TrueView
 from .sensor import SensorModel as SensorModel
 from .sensor import sensor_model as sensor_model
 from .shading import Light as Light
+from .stereo import StereoModel as StereoModel
+from .time_of_flight import TimeOfFlightModel as TimeOfFlightModel

@@ -7,11 +7,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from binpick_env.camera.appearance import Appearance
+from binpick_env.camera.depth_sensor import DepthSensor, TrueView
 from binpick_env.camera.egl import EglRenderer
+from binpick_env.camera.photograph import photograph
 from binpick_env.camera.raster import Rasteriser
 from binpick_env.camera.rays import RayCaster
-from binpick_env.camera.sensor import SensorModel, sensor_model
+from binpick_env.camera.sensor import sensor_model
 from binpick_env.camera.shading import Light
+from binpick_env.camera.surface import deviate, label_albedo, part_pixels
 from binpick_env.camera.view import Hits, View, geoms_in_camera, visible_geoms
 from binpick_env.config import CameraConfig, SensorPreset
 from perception.frame import Frame, Workspace, bin_region
@@ -102,8 +106,9 @@ class DepthCamera:
         self,
         data: mujoco.MjData,
         rng: np.random.Generator,
-        sensor: SensorPreset | SensorModel = "good",
+        sensor: SensorPreset | DepthSensor = "good",
         light: Light | None = None,
+        appearance: Appearance | None = None,
     ) -> Capture:
         """Take a frame of ``data``, whose kinematics must be up to date (``mj_forward`` or a step's).
 
@@ -112,19 +117,28 @@ class DepthCamera:
             rng: Source of the sensor's random numbers.
             sensor: Name of a preset, or a model of the sensor.
             light: Lighting of the grey image; :class:`Light`'s defaults if left out.
+            appearance: Departures from the clean image and from the parts' CAD; none if left out. The capture's true
+                depth and normals are those of the deviating surfaces.
 
         Raises:
             ValueError: ``data`` is of another model, or a visible geom's pose is not finite.
         """
         measures = sensor_model(sensor)
-        hits, region = self._render(data)
+        appearance = appearance or Appearance()
+        hits, view = self._render(data)
+        if appearance.deviation > 0:
+            hits = deviate(hits, view, part_pixels(hits.geom_at, self._instances), appearance)
         depth_true = hits.depth.astype(np.float32)
         instance_ids = self._instances[hits.geom_at]
-        grey = (light or Light()).shade(depth_true, hits.normals, instance_ids, self.K)
-        depth = measures.apply(depth_true, hits.normals, self.K, rng)
+        if appearance.is_clean:
+            grey = (light or Light()).shade(depth_true, hits.normals, instance_ids, self.K)
+        else:
+            grey = self._photograph(hits, view, (appearance, light or Light()), rng)
+        seen = TrueView(depth=depth_true, normals=hits.normals, grey=grey, K=self.K)
+        depth = measures.measure(seen, rng)
         reported = make_transform(translation=self.offset_world) @ self.T_world_cam
         frame = Frame(grey=grey, depth=depth, K=self.K.copy(), T_world_cam=reported)
-        u0, v0, u1, v1 = (int(x) for x in region)
+        u0, v0, u1, v1 = (int(x) for x in view.region)
         return Capture(
             frame=frame,
             instance_ids=instance_ids,
@@ -139,8 +153,23 @@ class DepthCamera:
         if self._egl is not None:
             self._egl.close()
 
-    def _render(self, data: mujoco.MjData) -> tuple[Hits, NDArray[np.int64]]:
-        """Return the first surface behind each pixel, and the (4,) region that was rendered."""
+    def _photograph(
+        self, hits: Hits, view: View, looks: tuple[Appearance, Light], rng: np.random.Generator
+    ) -> NDArray[np.uint8]:
+        """Return the grey image under an appearance that is not clean; outside the region it is the background's."""
+        appearance, light = looks
+        is_part = self._instances[hits.geom_at] >= 0
+        albedo = light.albedo(is_part)
+        albedo *= np.where(is_part, appearance.part_brightness, appearance.container_brightness).astype(np.float32)
+        if appearance.labelled > 0:
+            pixels = part_pixels(hits.geom_at, self._instances)
+            albedo = label_albedo(albedo, hits, view, pixels, self._model.geom_aabb, appearance)
+        grey = light.shade_albedo(hits.depth.astype(np.float32), hits.normals, np.minimum(albedo, 1), self.K)
+        seen = photograph(grey, hits.normals, is_part, view, looks, rng)
+        return np.where(hits.depth > 0, seen, np.uint8(light.background))
+
+    def _render(self, data: mujoco.MjData) -> tuple[Hits, View]:
+        """Return the first surface behind each pixel, and the view that was rendered."""
         if data.geom_xpos.shape[0] != self._model.ngeom:
             raise ValueError(f"data has {data.geom_xpos.shape[0]} geoms, the camera's model {self._model.ngeom}")
         size = (self.config.width, self.config.height)
@@ -148,13 +177,13 @@ class DepthCamera:
         rotations, positions = geoms_in_camera(self._model, data, self._geoms, self.T_world_cam)
         view = View(K=self.K, width=size[0], height=size[1], region=region, rotations=rotations, positions=positions)
         if self._rays is not None:
-            return self._raster.smooth(view, self._rays.cast(view)), region
+            return self._raster.smooth(view, self._rays.cast(view)), view
         if self._egl is None:
-            return self._raster.draw(view), region
+            return self._raster.draw(view), view
         hits = self._egl.render(data, view, self.T_world_cam)
         # Where the raster sees another geom than GL, on outlines, the surface is taken to face the camera.
         hits.normals[hits.geom_at >= 0] = _TO_EYE
-        return self._raster.smooth(view, hits), region
+        return self._raster.smooth(view, hits), view
 
 
 def default_pose(workspace: Workspace, distance: float) -> Floats:

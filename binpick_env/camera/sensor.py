@@ -1,4 +1,4 @@
-"""The structured-light sensor: noise and losses of the measured depth."""
+"""The structured-light sensor: noise and losses of the measured depth; the presets of all sensors."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.camera import _image_kernels
+from binpick_env.camera.depth_sensor import DepthSensor, TrueView
+from binpick_env.camera.stereo import StereoModel
+from binpick_env.camera.time_of_flight import TimeOfFlightModel
 from binpick_env.config import SensorPreset
 from perception.geometry import Floats, require_shape
 
@@ -44,6 +47,10 @@ class SensorModel:
         """Whether every true depth is measured exactly."""
         return self.sigma_z == self.edge_loss == self.baseline == 0 and self.max_incidence == np.pi / 2
 
+    def measure(self, view: TrueView, rng: np.random.Generator) -> NDArray[np.float32]:
+        """Return the measured depth; see `DepthSensor.measure`. The grey image plays no part."""
+        return self.apply(view.depth, view.normals, view.K, rng)
+
     def apply(
         self,
         depth_true: NDArray[np.float32],
@@ -76,22 +83,24 @@ class SensorModel:
         return measured
 
 
-# The figures of the three presets are the project's definition of a sensor; official results use "good".
-PRESETS: dict[SensorPreset, SensorModel] = {
+# The figures of the presets are the project's definition of a sensor; official results use "good".
+PRESETS: dict[SensorPreset, DepthSensor] = {
     "none": SensorModel(),
     "good": SensorModel(sigma_z=0.0003, edge_loss=0.02, max_incidence=np.deg2rad(75.0), baseline=0.15),
     "harsh": SensorModel(sigma_z=0.001, edge_loss=0.10, max_incidence=np.deg2rad(65.0), baseline=0.15),
+    "stereo": StereoModel(),
+    "tof": TimeOfFlightModel(),
 }
 
 
-def sensor_model(sensor: SensorPreset | SensorModel) -> SensorModel:
+def sensor_model(sensor: SensorPreset | DepthSensor) -> DepthSensor:
     """Return the model of a preset by its name; a model is returned as it is.
 
     Raises:
         ValueError: There is no such preset.
     """
-    if isinstance(sensor, SensorModel):
+    if not isinstance(sensor, str) and isinstance(sensor, DepthSensor):
         return sensor
     if sensor not in PRESETS:
-        raise ValueError(f"sensor must be one of {', '.join(PRESETS)} or a SensorModel, got {sensor!r}")
+        raise ValueError(f"sensor must be one of {', '.join(PRESETS)} or a DepthSensor, got {sensor!r}")
     return PRESETS[sensor]

@@ -54,8 +54,17 @@ class Light:
             instance_ids: (H, W) part seen by each pixel, -1 for everything else.
             K: (3, 3) pinhole matrix [px].
         """
+        return self.shade_albedo(depth, normals, self.albedo(instance_ids >= 0), K)
+
+    def albedo(self, is_part: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """Return the (H, W) float32 albedo of parts and of everything else."""
+        return np.where(is_part, np.float32(self.part_albedo), np.float32(self.container_albedo))
+
+    def shade_albedo(
+        self, depth: NDArray[np.float32], normals: NDArray[np.float32], albedo: NDArray[np.float32], K: Floats
+    ) -> NDArray[np.uint8]:
+        """Return the (H, W) grey image of surfaces with (H, W) float32 albedos in [0, 1]; see `shade`."""
         to_light = np.array(self.to_light) / np.linalg.norm(self.to_light)
-        albedo = np.where(instance_ids >= 0, np.float32(self.part_albedo), np.float32(self.container_albedo))
         if self.occlusion > 0:
             occluded = _image_kernels.ambient_occlusion(depth, normals, K, self.radius, FACET, STEP)
         else:

@@ -7,16 +7,17 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from binpick_env.camera.appearance import draw_appearance
 from binpick_env.camera.depth_camera import Capture, DepthCamera, default_pose
 from binpick_env.camera.sensor import PRESETS
 from binpick_env.camera.shading import Light
 from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
-from binpick_env.config import CameraConfig, CellConfig, SensorChoice, SensorPreset
+from binpick_env.config import AppearanceChoice, CameraConfig, CellConfig, SensorChoice, SensorPreset
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.options import CellOptions
@@ -35,12 +36,12 @@ _log = logging.getLogger(__name__)
 MANY_PARTS = "generated"  # stands for parts of all training families, for the training of one network for every part
 SCENES_PER_PART = 4  # number of successive scenes of one part of `MANY_PARTS`
 FILLING = 0.4  # largest volume of the parts' hulls, as a share of the bin's, that is dropped into a bin of `MANY_PARTS`
-_NEWER_FIELDS = {"symmetry": "detect", "density": None, "bin": None, "friction": None}  # and their defaults
-MIXTURE: dict[SensorPreset, float] = {
-    "good": 0.7,
-    "harsh": 0.2,
-    "none": 0.1,
-}  # for "mixed"
+# Newer fields and their defaults.
+_NEWER_FIELDS = {"symmetry": "detect", "density": None, "bin": None, "friction": None, "appearance": "clean"}
+# Share of scenes that each preset sees.
+MIXTURE: dict[SensorPreset, float] = {"good": 0.7, "harsh": 0.2, "none": 0.1}  # "mixed": structured light alone
+FULL_MIXTURE: dict[SensorPreset, float] = {"good": 0.35, "stereo": 0.25, "tof": 0.1, "harsh": 0.2, "none": 0.1}  # "all"
+_MIXTURES: dict[SensorChoice, dict[SensorPreset, float]] = {"mixed": MIXTURE, "all": FULL_MIXTURE}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,13 +54,15 @@ class SceneConfig:
         unit: Length unit of a mesh file; the most plausible one by default.
         seed: Seed of all scenes; scene i is drawn from (seed, i).
         num_parts: Smallest and largest number of parts in a bin.
-        sensor: Preset of the depth sensor's noise; "mixed" draws one for each scene, mostly ``good``.
+        sensor: Preset of the depth sensor's noise; "mixed" draws one of ``good``, ``harsh`` and ``none`` for each
+            scene, mostly ``good``; "all" draws one of all presets.
         jitter: Whether camera pose and light are random; otherwise they are the cell's nominal ones.
         camera: Image size, focal length, distance and rendering backend of the camera.
         symmetry: Whether the rotational symmetry of a mesh file is looked for; "none" ignores it.
         density: Density of the part [kg/m^3]; the catalogue's, or aluminium's for a file, by default.
         bin: Length, width and height inside the bin [m]; those of the standard bin by default.
         friction: Sliding friction coefficient of parts, bin and tray; the cell's own by default.
+        appearance: "varied" draws uneven light, blur, labels, worn edges and deviations from CAD for each scene.
     """
 
     part: str = "tee"
@@ -73,6 +76,7 @@ class SceneConfig:
     density: float | None = None
     bin: tuple[float, float, float] | None = None
     friction: float | None = None
+    appearance: AppearanceChoice = "clean"
 
     def __post_init__(self) -> None:
         low, high = self.num_parts
@@ -80,8 +84,10 @@ class SceneConfig:
             raise ValueError(f"num_parts must be (smallest, largest) from 0 up, got {self.num_parts}")
         if self.seed < 0:
             raise ValueError(f"seed must not be negative, got {self.seed}")
-        if self.sensor not in (*PRESETS, "mixed"):
-            raise ValueError(f"sensor must be one of {', '.join(PRESETS)}, mixed, got {self.sensor!r}")
+        if self.sensor not in (*PRESETS, *_MIXTURES):
+            raise ValueError(f"sensor must be one of {', '.join((*PRESETS, *_MIXTURES))}, got {self.sensor!r}")
+        if self.appearance not in get_args(AppearanceChoice):
+            raise ValueError(f"appearance must be clean or varied, got {self.appearance!r}")
         self.options()
 
     def options(self) -> CellOptions:
@@ -148,9 +154,11 @@ def make_scene(config: SceneConfig, index: int) -> CapturedScene:
     simulation, camera, model = setup.simulation, setup.camera, setup.part.model
     count = int(rng.integers(config.num_parts[0], config.num_parts[1] + 1))
     drop_and_settle(simulation, count, rng)
-    sensor = _draw_sensor(rng) if config.sensor == "mixed" else config.sensor
+    sensor = _draw_sensor(config.sensor, rng)
     camera.move(_draw_pose(camera, rng) if config.jitter else default_pose(camera.workspace, config.camera.distance))
-    capture = camera.capture(simulation.data, rng, sensor, draw_light(rng) if config.jitter else None)
+    light = draw_light(rng) if config.jitter else None
+    appearance = draw_appearance(rng) if config.appearance == "varied" else None
+    capture = camera.capture(simulation.data, rng, sensor, light, appearance)
     boundary = extract_boundary(capture.frame, camera.workspace)
     T_world_parts = simulation.part_poses()[:count]
     T_cam_parts = invert_transform(camera.T_world_cam) @ T_world_parts
@@ -184,9 +192,12 @@ def draw_light(rng: np.random.Generator) -> Light:
     )
 
 
-def _draw_sensor(rng: np.random.Generator) -> SensorPreset:
-    names = list(MIXTURE)
-    return names[int(rng.choice(len(names), p=list(MIXTURE.values())))]
+def _draw_sensor(sensor: SensorChoice, rng: np.random.Generator) -> SensorPreset:
+    """Return the preset that a scene is seen by; a mixture draws one number."""
+    if sensor == "mixed" or sensor == "all":
+        mixture = _MIXTURES[sensor]
+        return list(mixture)[int(rng.choice(len(mixture), p=list(mixture.values())))]
+    return sensor
 
 
 def _draw_pose(camera: DepthCamera, rng: np.random.Generator) -> Floats:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binpick_env.config import SensorPreset
+from binpick_env.config import AppearanceChoice, SensorPreset
 from binpick_env.evaluation.choices import PosePerception
 from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import SceneArguments, scenes_of
@@ -33,6 +33,8 @@ class Arguments(SceneArguments):
     min_score: float | None = None  # smallest score of a verified pose, in [0, 1]; the estimator's own unless given
     sensor: SensorPreset = "good"  # noise of the depth camera
     jitter: bool = True  # vary the camera's pose and the light from scene to scene
+    # grey image and surfaces of the parts; varied draws light, blur, labels, wear and deviations for each scene
+    appearance: AppearanceChoice = "clean"
     workers: int = 2  # number of processes, each on one core; 1 uses all cores, best for timing
     min_parts: int = 20  # smallest number of parts in a bin
     max_parts: int = 30  # largest number of parts in a bin
@@ -60,6 +62,7 @@ class Arguments(SceneArguments):
             num_parts=(self.min_parts, self.max_parts),
             sensor=self.sensor,
             jitter=self.jitter,
+            appearance=self.appearance,
         )
 
     def estimator(self) -> "EstimatorConfig":

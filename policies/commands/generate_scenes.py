@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from binpick_env.config import SensorChoice
+from binpick_env.config import AppearanceChoice, SensorChoice
 from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
@@ -25,8 +25,10 @@ class Arguments(SceneArguments):
     seed: int = 0  # seed of all scenes; scene i is drawn from (seed, i); evaluate with another one than you train with
     out: Path | None = None  # folder of the scenes; runs/scenes-PART-SEED unless given
     workers: int = 2  # number of processes, each on one core
-    sensor: SensorChoice = "good"  # noise of the depth camera; mixed draws one of the others for each scene
+    sensor: SensorChoice = "good"  # noise of the depth camera; mixed draws good, harsh or none for each scene, all any
     jitter: bool = True  # vary the camera's pose and the light from scene to scene
+    # grey image and surfaces of the parts; varied draws light, blur, labels, wear and deviations for each scene
+    appearance: AppearanceChoice = "clean"
     min_parts: int = 20  # smallest number of parts in a bin
     max_parts: int = 30  # largest number of parts in a bin
     json: Path | None = None  # JSON file for the folder, the number of scenes and the seconds it took
@@ -45,6 +47,7 @@ class Arguments(SceneArguments):
             num_parts=(self.min_parts, self.max_parts),
             sensor=self.sensor,
             jitter=self.jitter,
+            appearance=self.appearance,
         )
 
 

@@ -34,7 +34,7 @@ def test_an_unknown_choice_names_those_that_exist(argument: str, value: Any, mes
 
 
 def test_an_unknown_sensor_is_refused() -> None:
-    with pytest.raises(ValueError, match="sensor must be one of none, good, harsh or a SensorModel, got 'nice'"):
+    with pytest.raises(ValueError, match="none, good, harsh, stereo, tof or a DepthSensor, got 'nice'"):
         small_env(sensor="nice").reset(seed=0)
 
 

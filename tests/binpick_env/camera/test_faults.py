@@ -42,7 +42,10 @@ def _flat(scene: Scene) -> DepthCamera:
             lambda s: make_camera(s).capture(build(np.zeros((0, 4, 4))).data, np.random.default_rng(0)),
             r"data has \d+ geo",
         ),
-        (lambda s: look(s, sensor="nice"), "sensor must be one of none, good, harsh or a SensorModel, got 'nice'"),
+        (
+            lambda s: look(s, sensor="nice"),
+            "none, good, harsh, stereo, tof or a DepthSensor, got 'nice'",
+        ),
         (lambda _: Light(to_light=(0, 0, 0)), "to_light must be a finite vector that is not zero"),
         (lambda _: Light(ambient=1.5), r"ambient must be in \[0, 1\], got 1.5"),
         (lambda _: Light(radius=0), "reference and radius must be positive"),

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from binpick_env.camera.sensor import PRESETS, SensorModel, sensor_model
+from binpick_env.camera.sensor import SensorModel, sensor_model
 from perception.geometry import Floats, camera_matrix
 
 K = camera_matrix(2400.0, 640, 480)
@@ -36,6 +36,13 @@ def measure(sensor: SensorModel, scene: tuple[np.ndarray, np.ndarray], seed: int
     return sensor.apply(*scene, K, np.random.default_rng(seed))
 
 
+def light(preset: str) -> SensorModel:
+    """Return a preset of structured light."""
+    model = sensor_model(preset)
+    assert isinstance(model, SensorModel)
+    return model
+
+
 def noise_of(sensor: SensorModel, scene: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     measured = measure(sensor, scene)
     return (measured.astype(np.float64) - scene[0])[measured > 0]
@@ -44,7 +51,7 @@ def noise_of(sensor: SensorModel, scene: tuple[np.ndarray, np.ndarray]) -> np.nd
 def test_none_is_the_identity() -> None:
     scene = step(0.8, 0.9)
     rng = np.random.default_rng(0)
-    measured = PRESETS["none"].apply(*scene, K, rng)
+    measured = light("none").apply(*scene, K, rng)
     np.testing.assert_array_equal(measured, scene[0])
     assert measured is not scene[0]
     assert rng.random() == np.random.default_rng(0).random()  # nothing was drawn
@@ -52,27 +59,27 @@ def test_none_is_the_identity() -> None:
 
 @pytest.mark.parametrize(("preset", "sigma"), [("good", 0.0003), ("harsh", 0.001)])
 def test_sigma_at_the_reference(preset: str, sigma: float) -> None:
-    noise = noise_of(sensor_model(preset), plane(0.9))
+    noise = noise_of(light(preset), plane(0.9))
     assert noise.std() == pytest.approx(sigma, rel=0.02)
     assert abs(noise.mean()) < sigma * 0.01
 
 
 @pytest.mark.parametrize("preset", ["good", "harsh"])
 def test_sigma_grows_with_the_square_of_depth(preset: str) -> None:
-    near, far = (noise_of(sensor_model(preset), plane(z)).std() for z in (0.6, 1.2))
+    near, far = (noise_of(light(preset), plane(z)).std() for z in (0.6, 1.2))
     assert far / near == pytest.approx(4.0, rel=0.03)
 
 
 def test_sigma_grows_with_grazing_angle() -> None:
     flat, tilted = plane(0.9), plane(0.9, np.deg2rad(60))  # 0.9 m away along the middle columns
     middle = np.s_[:, 312:328]
-    sigmas = [(measure(PRESETS["good"], scene) - scene[0])[middle].std() for scene in (flat, tilted)]
+    sigmas = [(measure(light("good"), scene) - scene[0])[middle].std() for scene in (flat, tilted)]
     assert sigmas[1] / sigmas[0] == pytest.approx(2.0, rel=0.05)
 
 
 @pytest.mark.parametrize(("preset", "limit_deg"), [("good", 75), ("harsh", 65)])
 def test_nothing_returns_beyond_the_incidence(preset: str, limit_deg: float) -> None:
-    sensor = replace(sensor_model(preset), baseline=0.0)
+    sensor = replace(light(preset), baseline=0.0)
     x = (np.arange(SIZE[1]) - K[0, 2]) / K[0, 0]
     scene = plane(0.9, np.deg2rad(limit_deg))
     normal = scene[1][0, 0].astype(np.float64)
@@ -85,7 +92,7 @@ def test_nothing_returns_beyond_the_incidence(preset: str, limit_deg: float) -> 
 
 @pytest.mark.parametrize(("preset", "share"), [("good", 0.02), ("harsh", 0.10)])
 def test_share_of_lost_edge_pixels(preset: str, share: float) -> None:
-    sensor = replace(sensor_model(preset), baseline=0.0)
+    sensor = replace(light(preset), baseline=0.0)
     lost = np.stack([measure(sensor, step(0.8, 0.9), seed) == 0 for seed in range(40)])
     beside = lost[:, :, 319:321]  # the last near and the first far column
     assert beside.mean() == pytest.approx(share, rel=0.12)
@@ -155,7 +162,7 @@ def test_same_seed_same_bits_and_never_depth_from_nothing(seed: int, preset: str
     depth, normals = step(0.8, 0.9)
     depth[::7, ::5] = 0
     before = depth.copy()
-    first, again = (measure(sensor_model(preset), (depth, normals), seed) for _ in range(2))
+    first, again = (measure(light(preset), (depth, normals), seed) for _ in range(2))
     np.testing.assert_array_equal(first, again)
     np.testing.assert_array_equal(depth, before)
     assert first.dtype == np.float32
@@ -164,7 +171,7 @@ def test_same_seed_same_bits_and_never_depth_from_nothing(seed: int, preset: str
 
 
 def test_chance_does_not_depend_on_the_scene() -> None:
-    good = PRESETS["good"]
+    good = light("good")
     states = []
     for scene in (plane(0.9), step(0.5, 1.0)):
         rng = np.random.default_rng(1)
@@ -181,7 +188,10 @@ def test_chance_does_not_depend_on_the_scene() -> None:
         (lambda: SensorModel(edge_loss=2), r"edge_loss must be in \[0, 1\], got 2"),
         (lambda: SensorModel(max_incidence=2), r"max_incidence must be in \(0, pi / 2\], got 2"),
         (lambda: SensorModel(baseline=2), "baseline must be within 1 m, got 2"),
-        (lambda: sensor_model("fine"), "sensor must be one of none, good, harsh or a SensorModel, got 'fine'"),
+        (
+            lambda: sensor_model("fine"),
+            "none, good, harsh, stereo, tof or a DepthSensor, got 'fine'",
+        ),
         (lambda: measure(QUIET, (plane(1)[0], plane(1)[1][:9])), r"normals must be \(480, 640, 3\)"),
         (lambda: measure(QUIET, (plane(1)[0][0], plane(1)[1])), r"depth_true must be \(N, N\)"),
         (lambda: measure(QUIET, plane(1), K=np.eye(4)), r"K must be \(3, 3\), got \(4, 4\)"),

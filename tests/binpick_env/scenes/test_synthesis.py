@@ -12,12 +12,13 @@ import trimesh
 
 from binpick_env.camera.depth_camera import DepthCamera, default_pose
 from binpick_env.camera.shading import Light
-from binpick_env.config import BinConfig, CameraConfig
+from binpick_env.config import BinConfig, CameraConfig, SensorChoice
 from binpick_env.parts import load_part
 from binpick_env.parts.families.names import training_parts
 from binpick_env.scenes import synthesis
 from binpick_env.scenes.synthesis import (
     FILLING,
+    FULL_MIXTURE,
     MANY_PARTS,
     MIXTURE,
     SCENES_PER_PART,
@@ -161,9 +162,9 @@ def test_without_jitter_camera_and_light_are_the_cells_own(monkeypatch: pytest.M
     lights: list[Light | None] = []
     capture_with = DepthCamera.capture
 
-    def spy(self: DepthCamera, data: Any, rng: Any, sensor: Any, light: Light | None = None) -> Any:
+    def spy(self: DepthCamera, data: Any, rng: Any, sensor: Any, light: Light | None, *more: Any) -> Any:
         lights.append(light)
-        return capture_with(self, data, rng, sensor, light)
+        return capture_with(self, data, rng, sensor, light, *more)
 
     monkeypatch.setattr(DepthCamera, "capture", spy)
     for index in (0, 1):
@@ -188,11 +189,12 @@ def test_light_comes_from_within_45_degrees_of_the_cameras_axis() -> None:
     assert all(light.part_albedo >= light.container_albedo for light in lights)
 
 
-def test_mixed_draws_every_preset_in_its_share() -> None:
+@pytest.mark.parametrize(("choice", "mixture"), [("mixed", MIXTURE), ("all", FULL_MIXTURE)])
+def test_a_mixture_draws_every_preset_in_its_share(choice: SensorChoice, mixture: dict[str, float]) -> None:
     rng = np.random.default_rng(0)
-    drawn = [synthesis._draw_sensor(rng) for _ in range(3000)]
-    assert sum(MIXTURE.values()) == pytest.approx(1.0)
-    for name, share in MIXTURE.items():
+    drawn = [synthesis._draw_sensor(choice, rng) for _ in range(3000)]
+    assert sum(mixture.values()) == pytest.approx(1.0)
+    for name, share in mixture.items():
         assert drawn.count(name) / 3000 == pytest.approx(share, abs=0.03)
 
 
@@ -335,7 +337,7 @@ def test_an_empty_bin_is_a_scene(tmp_path: Path) -> None:
         ({"seed": -1}, "seed must not be negative, got -1"),
         ({"bin": (0.3, 0.2, -0.1)}, "bin must be length, width and height inside"),
         ({"friction": 5.0}, "friction must be from 0 to 2, got 5.0"),
-        ({"sensor": "foul"}, "sensor must be one of none, good, harsh, mixed, got 'foul'"),
+        ({"sensor": "foul"}, "sensor must be one of none, good, harsh, stereo, tof, mixed, all, got 'foul'"),
     ],
 )
 def test_nonsense_in_the_configuration_is_refused(changes: dict[str, Any], text: str) -> None:
@@ -347,3 +349,15 @@ def test_nonsense_in_the_configuration_is_refused(changes: dict[str, Any], text:
 def test_nothing_to_make_is_refused(tmp_path: Path, count: int, workers: int) -> None:
     with pytest.raises(ValueError, match=f"count and workers must be at least 1, got {count} and {workers}"):
         next(generate_scenes(TINY, count, tmp_path, workers))
+
+
+def test_a_varied_scene_of_all_sensors_is_labelled_and_only_a_varied_one_is_noted() -> None:
+    config = replace(TINY, sensor="all", appearance="varied")
+    scene, capture = make_scene(config, 0)
+    u, v = scene.boundary.pixels.T
+    np.testing.assert_array_equal(scene.instance_ids, capture.instance_ids[v, u])
+    assert same(scene, make_scene(config, 0).scene)
+    assert synthesis.scene_settings(config)["appearance"] == "varied"
+    assert "appearance" not in synthesis.scene_settings(TINY)
+    with pytest.raises(ValueError, match="appearance must be clean or varied, got 'dirty'"):
+        replace(TINY, appearance="dirty")  # type: ignore[arg-type]
