@@ -1,4 +1,4 @@
-"""Appearances: the clean one changes nothing, each departure shows, and labels move with their part."""
+"""Appearances: the clean one changes nothing, each departure shows, and deviations keep their limit."""
 
 import numpy as np
 import pytest
