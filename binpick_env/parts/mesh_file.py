@@ -1,4 +1,4 @@
-"""Read a part's mesh from a file: unit, repair, and the checks that a simulated part must pass."""
+"""Read a part's mesh from a file: bodies, unit, repair, and what the cell's camera, bin and jaw cannot do with it."""
 
 import logging
 from pathlib import Path
@@ -6,81 +6,127 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from binpick_env.parts.mesh_bodies import joined, united
+from binpick_env.parts.mesh_formats import read_bodies
+from binpick_env.parts.mesh_repair import closed
+from binpick_env.parts.simplification import simplified
+from binpick_env.parts.surface import hausdorff_distance
 from binpick_env.parts.unit import METRES, Unit, check_unit
-from perception.part import diameter
+from perception.part import diameter, require_volume
+from perception.size import PLAUSIBLE
 
 log = logging.getLogger(__name__)
-SUFFIXES = (".stl", ".obj", ".ply")
-PLAUSIBLE = (0.01, 0.25)  # range of d_max in which a guessed unit must put a part [m]
 D_MAX = (0.02, 0.2)  # range of d_max [m]: below, the camera sees too few points; above, no bin of the cell holds a pile
-MAX_FACES = 200_000  # largest number of faces; with more, ray casting and the symmetry search take minutes
+LEAST_THICKNESS = 0.0002  # least thickness [m]: contacts of thinner parts are not resolved by the physics
+MAX_FACES = 200_000  # number of faces above which a mesh is simplified: ray casting would take minutes
+DEVIATION = 0.001  # largest deviation of a simplified mesh, as a share of its largest extent
 JAW = 0.075  # widest side that the 2F-85 closes on [m]: 85 mm less 5 mm on each side for the pose's error
 
 
 def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
-    """Read a watertight mesh with outward normals in metres, in the file's own frame.
+    """Read a watertight mesh of one body with outward normals in metres, in the file's own frame.
 
     Args:
-        path: STL, OBJ or PLY file.
-        unit: Unit of the file's coordinates. None takes metres, else millimetres, if ``d_max`` is then 0.01 to 0.25 m.
+        path: File of one of `binpick_env.parts.mesh_formats.SUFFIXES`.
+        unit: Unit of the file's coordinates. None takes the unit that STEP and 3MF files name; for other files metres,
+            else millimetres, if ``d_max`` is then 0.01 to 0.25 m.
 
     Returns:
-        The mesh, repaired where merging vertices, filling small holes and turning normals is enough; ``unit`` in its
-        metadata is the unit of the file.
+        The mesh. It is repaired where that is faithful, its bodies are united, and it is simplified above `MAX_FACES`;
+        the log says so. ``unit`` in its metadata is the unit of the file.
 
     Raises:
+        ValueError: The file cannot be read, is empty or open, its bodies are apart, its unit is unclear, or the part is
+            too large, too small or too thin for the cell.
         FileNotFoundError: There is no such file.
-        ValueError: The file cannot be read, is empty, open, too large, too small or too fine, or its unit is unclear.
     """
-    mesh = _parse(path)
-    size = diameter(mesh.vertices)
-    read_as = check_unit(unit) if unit is not None else _guessed_unit(path, size)
+    meshes, named = read_bodies(path)
+    for mesh in meshes:
+        _require_solid(mesh, path)
+    if unit is not None and named is not None:
+        raise ValueError(f"{path} names its own unit: leave out --unit, in Python unit=, got {unit!r}")
+    size = diameter(np.concatenate([mesh.vertices for mesh in meshes]))
+    read_as = check_unit(unit) if unit is not None else named or _guessed_unit(path, size)
+    _require_size(path, size, read_as)
+    mesh = _whole(meshes, path)
     scale = METRES[read_as]
-    if not D_MAX[0] <= size * scale <= D_MAX[1]:
-        raise ValueError(
-            f"the largest diameter of {path} must be {D_MAX[0]} to {D_MAX[1]} m, got {size * scale:.4g} m "
-            f"({size:.4g} in the file's unit, taken as {read_as}); "
-            f"--unit, in Python unit=, names another, {_readings(size)}"
-        )
     mesh.apply_transform(np.diag([scale, scale, scale, 1.0]))
-    _repair(mesh, path)
+    require_volume(str(path), mesh)
+    if len(mesh.faces) > MAX_FACES:
+        mesh = _of_fewer_faces(mesh, path)
     mesh.metadata["unit"] = read_as
-    side = float(min(mesh.bounding_box_oriented.extents))
-    if side > JAW:
+    sides = np.sort(mesh.bounding_box_oriented.extents)
+    if sides[0] < LEAST_THICKNESS:
+        raise ValueError(
+            f"{path} is {1e3 * sides[0]:.3g} mm thick; the cell simulates parts from {1e3 * LEAST_THICKNESS:g} mm on"
+        )
+    if sides[0] > JAW:
         log.warning(
             "no side of %s is under %.0f mm (the smallest: %.0f mm): the jaw cannot grasp it",
             path,
             JAW * 1e3,
-            side * 1e3,
+            sides[0] * 1e3,
         )
     return mesh
 
 
-def _parse(path: Path) -> trimesh.Trimesh:
-    if path.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"a part's file must end in {', '.join(SUFFIXES)}, got {path}")
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no part file {path}")
-    try:
-        mesh = trimesh.load_mesh(path)
-    except Exception as error:  # the readers raise whatever their parsing meets
-        raise ValueError(f"{path} cannot be read as a {path.suffix} mesh: {error}") from error
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise ValueError(f"{path} holds no triangles")
-    if len(mesh.faces) > MAX_FACES:
-        raise ValueError(
-            f"a part may have up to {MAX_FACES} faces, {path} has {len(mesh.faces)}: simplify it first, for instance "
-            "with MeshLab's quadric edge collapse or trimesh's simplify_quadric_decimation; 20000 faces are plenty"
-        )
+def _require_solid(mesh: trimesh.Trimesh, path: Path) -> None:
     if not np.all(np.isfinite(mesh.vertices)):
         raise ValueError(f"{path} has vertices that are not finite")
     if np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=1e-6 * float(mesh.scale)) < 3:
         raise ValueError(f"{path} is flat: a part must enclose a volume")
-    return mesh
+
+
+def _require_size(path: Path, size: float, read_as: str) -> None:
+    metres = size * METRES[read_as]
+    if D_MAX[0] <= metres <= D_MAX[1]:
+        return
+    cannot = "the camera sees too few points on a smaller one" if metres < D_MAX[0] else "no bin holds a pile of them"
+    raise ValueError(
+        f"the largest diameter of {path} must be {D_MAX[0]} to {D_MAX[1]} m in this cell ({cannot}), got "
+        f"{metres:.4g} m ({size:.4g} in the file's unit, taken as {read_as}); "
+        f"--unit, in Python unit=, names another, {_readings(size)}"
+    )
+
+
+def _whole(meshes: list[trimesh.Trimesh], path: Path) -> trimesh.Trimesh:
+    """Return one closed body of a file's meshes, which may be closed each or only together."""
+    parts = list(meshes)
+    for part in parts:
+        if not part.is_watertight:
+            part.merge_vertices(merge_tex=True, merge_norm=True)
+    if len(parts) > 1 and not all(part.is_watertight for part in parts):
+        parts = [joined(parts)]
+    whole = united([closed(part, path) for part in parts], path)
+    if not whole.is_volume:
+        raise ValueError(
+            f"the mesh of {path} must enclose a volume, got {whole.volume:.3g} with inconsistent normals: repair it, "
+            "for instance in MeshLab"
+        )
+    return whole
+
+
+def _of_fewer_faces(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
+    tolerance = DEVIATION * float(np.linalg.norm(mesh.extents))
+    coarse = simplified(mesh, tolerance)
+    if coarse is None or len(coarse.faces) > MAX_FACES:
+        left = "none" if coarse is None else str(len(coarse.faces))
+        raise ValueError(
+            f"a part may have up to {MAX_FACES} faces, {path} has {len(mesh.faces)}, and could not be simplified to so "
+            f"few within {1e3 * tolerance:.2g} mm (faces left: {left}): export it more coarsely; 20000 faces are plenty"
+        )
+    log.warning(
+        "%s has %d faces; it was simplified to %d, which deviate by at most %.3f mm",
+        path,
+        len(mesh.faces),
+        len(coarse.faces),
+        1e3 * hausdorff_distance(mesh, coarse),
+    )
+    return coarse
 
 
 def _guessed_unit(path: Path, size: float) -> str:
-    """Return the unit that gives the part a plausible size; mesh files name none."""
+    """Return the unit that gives the part a plausible size; most mesh files name none."""
     for unit in ("m", "mm"):
         if PLAUSIBLE[0] <= size * METRES[unit] <= PLAUSIBLE[1]:
             if unit == "mm":
@@ -94,27 +140,3 @@ def _guessed_unit(path: Path, size: float) -> str:
 
 def _readings(size: float) -> str:
     return "which would make it " + ", ".join(f"{size * scale:.3g} m as {unit!r}" for unit, scale in METRES.items())
-
-
-def _repair(mesh: trimesh.Trimesh, path: Path) -> None:
-    """Close and orient ``mesh`` in place, or say what is still open."""
-    if not mesh.is_watertight:
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
-        mesh.fill_holes()
-        if mesh.is_watertight:
-            log.warning("%s was not watertight; merging vertices and filling holes closed it", path)
-    if not mesh.is_watertight:
-        counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
-        lone, crowded = int(np.sum(counts == 1)), int(np.sum(counts > 2))
-        raise ValueError(
-            f"the mesh of {path} must be watertight (every edge shared by two faces): after repair "
-            f"{lone} of {len(counts)} edges are open and {crowded} are shared by three faces or more"
-        )
-    mesh.fix_normals()
-    if mesh.volume < 0:
-        mesh.invert()
-    if not mesh.is_volume:
-        raise ValueError(
-            f"the mesh of {path} must enclose a volume, got {mesh.volume:.3g} m^3 with inconsistent normals"
-        )

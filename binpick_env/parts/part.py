@@ -14,6 +14,7 @@ from binpick_env.parts.design import Design
 from binpick_env.parts.families.generator import generated_design
 from binpick_env.parts.families.names import GeneratedName, is_generated, parse_name
 from binpick_env.parts.mesh_file import D_MAX, read_mesh
+from binpick_env.parts.mesh_formats import SUFFIXES
 from binpick_env.parts.pieces import convex_pieces
 from binpick_env.parts.symmetry import SymmetrySettings, detect_symmetry
 from binpick_env.parts.unit import Unit, check_unit
@@ -54,7 +55,7 @@ def load_part(
     density: float | None = None,
     symmetry_tolerance: float | None = None,
 ) -> Part:
-    """Load a part by its catalogue name, generate one, or read an STL, OBJ or PLY file.
+    """Load a part by its catalogue name, generate one, or read a mesh or STEP file.
 
     The part frame keeps the axes of the drawing; its origin is moved to the volume's centroid.
 
@@ -103,8 +104,8 @@ def load_part(
     path = Path(name_or_path)
     if not path.suffix and not path.exists():
         raise ValueError(
-            f"part must be one of {', '.join(CATALOGUE)}, generated:FAMILY:INDEX, or a path to a .stl, .obj or .ply "
-            f"file, got {name!r}"
+            f"part must be one of {', '.join(CATALOGUE)}, generated:FAMILY:INDEX, or a path to a file "
+            f"({', '.join(SUFFIXES)}), got {name!r}"
         )
     return _file_part(path, unit, settings if symmetry == "detect" else _group(symmetry), density or FILE_DENSITY)
 

@@ -131,10 +131,10 @@ def test_a_missing_file(tmp_path: Path) -> None:
         load_part(tmp_path / "gear.stl")
 
 
-@pytest.mark.parametrize("name", ["gear.step", "gear"])
+@pytest.mark.parametrize("name", ["gear.iges", "gear"])
 def test_an_unsupported_suffix(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("solid")
-    with pytest.raises(ValueError, match=r"a part's file must end in \.stl, \.obj, \.ply, got .*gear"):
+    with pytest.raises(ValueError, match=r"a part's file must end in \.stl, .* \.step, \.stp, got .*gear"):
         load_part(tmp_path / name)
 
 
@@ -181,14 +181,8 @@ def test_an_unclear_unit_lists_the_readings(save: Callable[..., Path]) -> None:
 
 @pytest.mark.parametrize("size", [0.010, 0.130])
 def test_a_part_too_small_or_too_large(save: Callable[..., Path], size: float) -> None:
-    with pytest.raises(ValueError, match=r"largest diameter of .* must be 0.02 to 0.2 m, got 0\.\d+ m"):
+    with pytest.raises(ValueError, match=r"largest diameter of .* must be 0.02 to 0.2 m in this cell .*, got 0\.\d+ m"):
         load_part(save(creation.box((size, size, size))))
-
-
-def test_too_many_faces_suggests_what_to_do(save: Callable[..., Path]) -> None:
-    mesh = creation.icosphere(subdivisions=7, radius=0.03)
-    with pytest.raises(ValueError, match=r"may have up to 200000 faces, .* has 327680: simplify it first"):
-        load_part(save(mesh))
 
 
 @pytest.mark.parametrize("density", [0.0, -1.0, np.nan, np.inf, 1e6])

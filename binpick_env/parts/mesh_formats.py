@@ -1,0 +1,124 @@
+"""The file formats of parts: what each of them gives, and files that are not what their name says."""
+
+import io
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from binpick_env.parts.child_program import run_program
+
+SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf", ".step", ".stp")
+_STEP = Path(__file__).with_name("_step_process.py")
+_DEFLECTION_MM = 0.02  # largest distance of a facet from the curved surface of a STEP file [mm]
+_ANGLE = 0.2  # largest angle between neighbouring facets of a STEP file [rad]
+_STEP_TIMEOUT = 600.0  # time after which the tessellation is given up [s]
+_BEGINNINGS = {b"ISO-10303-21": ".step", b"glTF": ".glb", b"PK\x03\x04": ".3mf", b"ply": ".ply", b"OFF": ".off"}
+_UNITS_3MF = {"micron": 1e-6, "millimeter": 0.001, "centimeter": 0.01, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
+_STL_HEADER, _STL_FACE = 84, 50  # lengths of a binary STL's header and of a triangle [bytes]
+
+
+def read_bodies(path: Path) -> tuple[list[trimesh.Trimesh], str | None]:
+    """Read the meshes of a file, as many as it holds, each with its own placement applied.
+
+    Args:
+        path: File of one of `SUFFIXES`; the suffix's case does not matter.
+
+    Returns:
+        The meshes, and the unit that the format names: "m" for STEP and 3MF, whose units are converted; else None.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The suffix or the content is none of these formats, or the content is damaged or empty.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ValueError(f"a part's file must end in {', '.join(SUFFIXES)}, got {path}")
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no part file {path}")
+    data = path.read_bytes()
+    _require_content(path, data)
+    try:
+        meshes, unit = _parsed(path, suffix, data)
+    except Exception as error:  # the readers raise whatever their parsing meets
+        raise ValueError(f"{path} cannot be read as a {path.suffix} mesh: {error}") from error
+    meshes = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    if not meshes:
+        raise ValueError(f"{path} holds no triangles")
+    return meshes, unit
+
+
+def _require_content(path: Path, data: bytes) -> None:
+    """Refuse a file whose content is of another format than its name says."""
+    beginning = data[:512].lstrip()
+    for signature, suffix in _BEGINNINGS.items():
+        named = ".step" if path.suffix.lower() == ".stp" else path.suffix.lower()
+        if beginning.startswith(signature) and named != suffix:
+            raise ValueError(f"{path} is not what its name says: its content is that of a {suffix} file; rename it")
+    if path.suffix.lower() in (".step", ".stp") and not beginning.startswith(b"ISO-10303-21"):
+        raise ValueError(f"{path} is no STEP file: it must begin with ISO-10303-21, got {bytes(beginning[:16])!r}")
+
+
+def _parsed(path: Path, suffix: str, data: bytes) -> tuple[list[trimesh.Trimesh], str | None]:
+    if suffix in (".step", ".stp"):
+        return _step(data), "m"
+    if suffix == ".3mf":
+        return _three_mf(data), "m"
+    if suffix == ".glb":
+        return _placed(trimesh.load_scene(io.BytesIO(data), file_type="glb")), None
+    if suffix == ".stl":
+        content, kind = _stl(data)
+        return [trimesh.load_mesh(io.BytesIO(content), file_type=kind)], None
+    if suffix == ".obj":
+        return [trimesh.load_mesh(io.BytesIO(_as_utf8(data)), file_type="obj")], None
+    return [trimesh.load_mesh(path)], None
+
+
+def _stl(data: bytes) -> tuple[bytes, str]:
+    """Return the content of an STL without what follows its triangles, and trimesh's name of its kind."""
+    if data[:512].lstrip().startswith(b"solid") and b"facet" in data[:4096]:
+        return _as_utf8(data), "stl_ascii"
+    if len(data) < _STL_HEADER:
+        raise ValueError(f"it has {len(data)} bytes, fewer than the header of a binary STL")
+    count = int(np.frombuffer(data, "<u4", 1, 80)[0])
+    length = _STL_HEADER + _STL_FACE * count
+    if len(data) < length:
+        raise ValueError(
+            f"it is truncated: its header announces {count} triangles, which take {length} bytes, "
+            f"and it has {len(data)}; export or copy it again"
+        )
+    return data[:length], "stl"
+
+
+def _as_utf8(data: bytes) -> bytes:
+    """Return a text that may be in Latin-1, as comments of older programs are, in UTF-8."""
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1").encode("utf-8")
+    return data
+
+
+def _step(data: bytes) -> list[trimesh.Trimesh]:
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "part.step", Path(folder) / "part.glb"
+        source.write_bytes(data)
+        arguments = str(source), str(target), str(_DEFLECTION_MM), str(_ANGLE)
+        advice = "the file may be damaged; export it again"
+        run_program(_STEP, arguments, what="the tessellation", advice=advice, timeout=_STEP_TIMEOUT)
+        return _placed(trimesh.load_scene(target))
+
+
+def _three_mf(data: bytes) -> list[trimesh.Trimesh]:
+    scene = trimesh.load_scene(io.BytesIO(data), file_type="3mf")
+    unit = str(scene.metadata.get("units", "millimeter")).removesuffix("s")
+    if unit not in _UNITS_3MF:
+        raise ValueError(f"its unit must be one of {', '.join(_UNITS_3MF)}, got {unit!r}")
+    scale = _UNITS_3MF[unit]
+    return [mesh.apply_transform(np.diag([scale, scale, scale, 1.0])) for mesh in _placed(scene)]
+
+
+def _placed(scene: trimesh.Scene) -> list[trimesh.Trimesh]:
+    """Return a copy of each mesh of a scene, in the scene's frame."""
+    return [mesh.copy() for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)]

@@ -1,0 +1,138 @@
+"""Repair of meshes that are not closed: coincident vertices, internal faces, holes; and what it moved."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from perception.geometry import Floats
+
+log = logging.getLogger(__name__)
+_MERGING = (1e-7, 1e-6, 1e-5, 1e-4)  # distances within which vertices are merged, one after the other [extent]
+_FLAT = 0.005  # share of the extent; a hole whose border deviates less from a plane is closed, however wide it is
+_SMALL = 0.1  # share of the extent; a hole that is narrower is closed, whatever its border
+
+
+def closed(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
+    """Return a closed mesh: the same one if it is closed already, or else a repaired copy.
+
+    Vertices within growing distances are merged, at first equal ones and at last those within 0.01 % of the extent.
+    Faces that lie on each other are removed. Flat holes and small ones are closed. A line of the log says how far
+    vertices were moved and how wide the holes were.
+
+    Args:
+        mesh: Mesh as read.
+        path: File that the mesh was read from, which errors name.
+
+    Raises:
+        ValueError: The mesh stays open; the message counts the edges and says what to do.
+    """
+    if mesh.is_watertight:
+        return mesh
+    extent = float(np.linalg.norm(mesh.extents))
+    repaired = _cleaned(mesh.copy())
+    for tolerance in (0.0, *_MERGING):
+        merged, moved = _merged(repaired, tolerance * extent) if tolerance else (repaired, 0.0)
+        merged = _without_internal_faces(merged)
+        if merged.is_watertight:
+            if moved > 0:
+                log.warning("%s was not watertight; vertices were merged that lay up to %.3g apart", path, moved)
+            return merged
+    # Merging did not suffice: fill the holes of the mesh whose rounding errors are gone, and of the coarser one else.
+    for tolerance in (0.0, *_MERGING):
+        merged, moved = _merged(repaired, tolerance * extent) if tolerance else (repaired, 0.0)
+        merged, widest, count = _filled(_without_internal_faces(merged), extent)
+        if merged.is_watertight:
+            log.warning(
+                "%s was not watertight; %d holes up to %.3g wide were closed, and vertices moved by up to %.3g",
+                path,
+                count,
+                widest,
+                moved,
+            )
+            return merged
+    counts = np.unique(repaired.edges_sorted, axis=0, return_counts=True)[1]
+    lone, crowded = int(np.sum(counts == 1)), int(np.sum(counts > 2))
+    raise ValueError(
+        f"the mesh of {path} must be watertight (every edge shared by two faces): after repair "
+        f"{lone} of {len(counts)} edges are open and {crowded} are shared by three faces or more; export the part as a "
+        "solid, or close it, for instance with MeshLab's screened Poisson reconstruction for scans"
+    )
+
+
+def _cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+    mesh.remove_unreferenced_vertices()
+    return mesh
+
+
+def _merged(mesh: trimesh.Trimesh, distance: float) -> tuple[trimesh.Trimesh, float]:
+    """Return the mesh with all vertices within ``distance`` of each other merged, and how far one was moved."""
+    vertices = np.asarray(mesh.vertices, np.float64)
+    pairs = cKDTree(vertices).query_pairs(distance, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(vertices),) * 2)
+    _, labels = connected_components(links, directed=False)
+    first = np.unique(labels, return_index=True)[1]
+    merged = trimesh.Trimesh(vertices[first], labels[np.asarray(mesh.faces)], process=False)
+    moved = float(np.linalg.norm(vertices - vertices[first][labels], axis=1).max(initial=0.0))
+    return _cleaned(merged), moved
+
+
+def _without_internal_faces(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Remove pairs of faces on the same three vertices with opposite winding: bodies that touch there become one."""
+    _, same, counts = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_inverse=True, return_counts=True)
+    kept = counts[same.ravel()] == 1
+    if kept.all() or not kept.any():
+        return mesh
+    return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)[kept], process=False)
+
+
+def _filled(mesh: trimesh.Trimesh, extent: float) -> tuple[trimesh.Trimesh, float, int]:
+    """Return the mesh with its flat holes and small ones closed by fans, the widest one's width and their number."""
+    loops = _loops(mesh)
+    vertices, faces = np.asarray(mesh.vertices, np.float64), [np.asarray(mesh.faces)]
+    added: list[Floats] = []
+    widest, count = 0.0, 0
+    for loop in loops:
+        border = vertices[loop]
+        centre = border.mean(axis=0)
+        normal = np.linalg.svd(border - centre)[2][2]
+        width, bend = float(np.ptp(border, axis=0).max()), float(np.abs((border - centre) @ normal).max())
+        if bend > _FLAT * extent and width > _SMALL * extent:
+            continue
+        ahead = np.roll(loop, -1)
+        if len(loop) == 3:
+            faces.append(loop[None, ::-1])
+        else:
+            hub = np.full(len(loop), len(vertices) + len(added))
+            added.append(centre)
+            faces.append(np.stack([ahead, loop, hub], axis=1))
+        widest, count = max(widest, width), count + 1
+    filled = trimesh.Trimesh(np.vstack([vertices, *added]), np.concatenate(faces), process=False)
+    return filled, widest, count
+
+
+def _loops(mesh: trimesh.Trimesh) -> list[NDArray[np.int64]]:
+    """Return the vertices around each hole, in the direction of the faces' own edges."""
+    edges = np.asarray(mesh.edges)
+    _, same, counts = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
+    border = edges[counts[same.ravel()] == 1]
+    following = {int(a): int(b) for a, b in border}
+    if len(following) != len(border):
+        return []  # holes that meet in a vertex, or faces that disagree
+    loops = []
+    while following:
+        start, vertex = following.popitem()
+        loop = [start]
+        while vertex != start and vertex in following:
+            loop.append(vertex)
+            vertex = following.pop(vertex)
+        if vertex == start and len(loop) >= 3:
+            loops.append(np.array(loop))
+    return loops

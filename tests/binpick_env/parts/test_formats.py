@@ -1,0 +1,263 @@
+"""Every format of parts, several bodies in a file, dirty meshes, and what is not what it seems."""
+
+import logging
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from binpick_env.parts import load_part
+from binpick_env.parts.mesh_bodies import bodies_of
+from binpick_env.parts.mesh_file import read_mesh
+from tests.binpick_env.parts.part_meshes import ell
+from tests.binpick_env.parts.step_files import step_text
+
+creation = trimesh.creation
+Save = Callable[..., Path]
+
+
+@pytest.fixture
+def save(tmp_path: Path) -> Save:
+    def save_mesh(mesh: trimesh.Trimesh, name: str = "part.stl") -> Path:
+        mesh.export(tmp_path / name)
+        return tmp_path / name
+
+    return save_mesh
+
+
+def at(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    return trimesh.transformations.translation_matrix((x, y, z))
+
+
+def text(path: Path, content: str) -> Path:
+    path.write_text(content)
+    return path
+
+
+def three_mf(path: Path, mesh: trimesh.Trimesh, unit: str) -> Path:
+    vertices = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in mesh.vertices)
+    triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in mesh.faces)
+    model = (
+        f'<model unit="{unit}" xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02"><resources>'
+        f'<object id="1" type="model"><mesh><vertices>{vertices}</vertices><triangles>{triangles}</triangles></mesh>'
+        '</object></resources><build><item objectid="1"/></build></model>'
+    )
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("3D/3dmodel.model", model)
+    return path
+
+
+# --- formats ---
+
+
+@pytest.mark.parametrize("suffix", [".off", ".glb", ".OFF"])
+def test_other_mesh_formats(save: Save, suffix: str) -> None:
+    mesh = read_mesh(save(ell(), f"part{suffix}"))
+    assert mesh.is_volume
+    assert mesh.volume == pytest.approx(ell().volume, rel=1e-5)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("mm", 1000.0), ("inch", 1 / 0.0254), ("m", 1.0)])
+def test_a_step_file_is_one_body_in_metres(tmp_path: Path, unit: str, scale: float) -> None:
+    box = creation.box(np.array([0.03, 0.04, 0.05]) * scale)
+    mesh = read_mesh(text(tmp_path / "box.stp", step_text([box], unit)))
+    assert mesh.volume == pytest.approx(0.03 * 0.04 * 0.05, rel=1e-5)
+    assert len(bodies_of(mesh)) == 1
+    assert mesh.metadata["unit"] == "m"
+
+
+def test_a_step_file_of_several_solids(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    pin, head = creation.box((10, 10, 60)), creation.box((30, 40, 20))
+    with caplog.at_level(logging.INFO):
+        mesh = read_mesh(text(tmp_path / "pin.step", step_text([pin, head])))
+    assert mesh.volume == pytest.approx((10 * 10 * 40 + 30 * 40 * 20) * 1e-9, rel=1e-5)
+    assert "holds 2 bodies that overlap or touch: they were united" in caplog.text
+    far = creation.box((10, 10, 10), at(60))
+    with pytest.raises(ValueError, match=r"apart\.step holds 2 bodies, of which 2 remain apart.* one body per file"):
+        read_mesh(text(tmp_path / "apart.step", step_text([pin, far])))
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("inch", 0.0254), ("millimeter", 0.001), ("micron", 1e-6)])
+def test_3mf_names_its_unit(tmp_path: Path, unit: str, metres: float) -> None:
+    box = creation.box(np.array([0.03, 0.04, 0.05]) / metres)
+    mesh = read_mesh(three_mf(tmp_path / "box.3mf", box, unit))
+    assert mesh.volume == pytest.approx(0.03 * 0.04 * 0.05, rel=1e-4)
+    with pytest.raises(ValueError, match=r"box\.3mf names its own unit: leave out --unit"):
+        read_mesh(tmp_path / "box.3mf", unit="mm")
+
+
+def test_3mf_of_an_unknown_unit(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"its unit must be one of micron, .* got 'furlong'"):
+        read_mesh(three_mf(tmp_path / "box.3mf", creation.box((1, 1, 1)), "furlong"))
+
+
+def test_names_may_hold_dots_and_spaces(save: Save, cache: Path) -> None:
+    part = load_part(save(ell(), "my angle v1.2 (new).STL"), symmetry="none")
+    assert part.model.name == "my angle v1.2 (new)"
+
+
+# --- content ---
+
+
+@pytest.mark.parametrize("name", ["part.ply", "part.off", "part.glb"])
+def test_a_file_that_is_not_what_its_name_says(save: Save, name: str) -> None:
+    path = save(ell(), name)
+    renamed = path.rename(path.with_suffix(".stl"))
+    with pytest.raises(ValueError, match=rf"is not what its name says: its content is that of a {path.suffix}"):
+        read_mesh(renamed)
+
+
+def test_a_step_file_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"is no STEP file: it must begin with ISO-10303-21, got b'solid"):
+        read_mesh(text(tmp_path / "a.step", "solid part"))
+    with pytest.raises(ValueError, match="the tessellation failed: OpenCASCADE cannot read it"):
+        read_mesh(text(tmp_path / "b.step", "ISO-10303-21;\nnothing"))
+
+
+def test_a_truncated_binary_stl_is_named_as_such(save: Save) -> None:
+    path = save(ell())
+    data = path.read_bytes()
+    count = struct.unpack("<I", data[80:84])[0]
+    path.write_bytes(data[:-70])
+    expected = rf"it is truncated: its header announces {count} triangles, which take {len(data)} bytes, and it has"
+    with pytest.raises(ValueError, match=expected):
+        read_mesh(path)
+
+
+def test_bytes_after_a_binary_stl_are_ignored(save: Save) -> None:
+    path = save(ell())
+    path.write_bytes(path.read_bytes() + b"exported by nobody" * 3)
+    assert read_mesh(path).volume == pytest.approx(ell().volume, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["part.obj", "part.stl"])
+def test_comments_in_latin_1_are_read(tmp_path: Path, name: str) -> None:
+    latin = "Gehäuse".encode("latin-1")
+    if name.endswith("obj"):
+        content = b"# " + latin + b"\n" + str(ell().export(file_type="obj")).encode()
+    else:
+        content = str(ell().export(file_type="stl_ascii")).encode().replace(b"solid", b"solid " + latin, 1)
+    (tmp_path / name).write_bytes(content)
+    assert read_mesh(tmp_path / name).volume == pytest.approx(ell().volume, rel=1e-5)
+
+
+# --- bodies ---
+
+
+def test_overlapping_bodies_are_united(save: Save, caplog: pytest.LogCaptureFixture) -> None:
+    pin, head = creation.cylinder(radius=0.006, height=0.06), creation.cylinder(radius=0.015, height=0.012)
+    with caplog.at_level(logging.INFO):
+        mesh = read_mesh(save(trimesh.util.concatenate([pin, head])))
+    assert mesh.volume == pytest.approx(trimesh.boolean.union([pin, head], engine="manifold").volume, rel=1e-5)
+    assert caplog.text.count("they were united") == 1
+
+
+def test_flush_bodies_are_united(save: Save) -> None:
+    width = 0.02
+    lower, upper = creation.box((0.03, 0.03, 0.02)), creation.box((width, width, 0.02), at(0, 0, 0.02))
+    mesh = read_mesh(save(trimesh.util.concatenate([lower, upper])))
+    assert mesh.is_volume
+    assert mesh.volume == pytest.approx(0.03**2 * 0.02 + width**2 * 0.02, rel=1e-4)
+    assert len(bodies_of(mesh)) == 1
+
+
+def test_bodies_that_miss_each_other_by_rounding_are_united(save: Save) -> None:
+    lower, upper = creation.box((0.03, 0.03, 0.02)), creation.box((0.02, 0.02, 0.02), at(0.001, 0, 0.02 + 2e-8))
+    mesh = read_mesh(save(trimesh.util.concatenate([lower, upper]), "part.ply"))
+    assert mesh.volume == pytest.approx(0.03**2 * 0.02 + 0.02**2 * 0.02, rel=1e-3)
+
+
+def test_bodies_apart_are_refused_with_their_number(save: Save) -> None:
+    boxes = [creation.box((0.01, 0.01, 0.01), at(x)) for x in (0.0, 0.02, 0.04)]
+    with pytest.raises(ValueError, match=r"holds 3 bodies, of which 3 remain apart, but a part is one rigid body"):
+        read_mesh(save(trimesh.util.concatenate(boxes)))
+
+
+def test_a_cavity_stays(save: Save) -> None:
+    void = creation.box((0.04, 0.024, 0.024))
+    void.invert()
+    mesh = read_mesh(save(trimesh.util.concatenate([creation.box((0.06, 0.04, 0.04)), void])))
+    assert mesh.volume == pytest.approx(0.06 * 0.04 * 0.04 - 0.04 * 0.024 * 0.024, rel=1e-5)
+
+
+def test_cavities_go_with_their_bodies() -> None:
+    void, solid = creation.box((0.01, 0.01, 0.01), at(0.05)), creation.box((0.02, 0.02, 0.02), at(0.05))
+    void.invert()
+    bodies = bodies_of(trimesh.util.concatenate([creation.box((0.03, 0.03, 0.03)), void, solid]))
+    assert sorted(round(body.volume * 1e9) for body in bodies) == [7000, 27000]
+
+
+# --- repair ---
+
+
+def soup(mesh: trimesh.Trimesh, noise: float) -> trimesh.Trimesh:
+    """Return triangles without common vertices, whose corners differ by up to ``noise``."""
+    corners = np.asarray(mesh.triangles).reshape(-1, 3)
+    corners = corners + np.random.default_rng(0).uniform(-noise, noise, corners.shape)
+    return trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+
+
+@pytest.mark.parametrize("noise", [1e-9, 1e-7, 1e-6])
+def test_corners_that_differ_by_rounding_are_merged(save: Save, noise: float, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        mesh = read_mesh(save(soup(ell(), noise), "part.ply"))
+    assert mesh.is_volume
+    assert mesh.volume == pytest.approx(ell().volume, rel=1e-3)
+
+
+def test_flat_holes_are_closed_however_wide(save: Save, caplog: pytest.LogCaptureFixture) -> None:
+    tub = creation.cylinder(radius=0.02, height=0.06, sections=32)
+    volume = tub.volume
+    tub.update_faces(tub.triangles_center[:, 2] < 0.029)  # without its lid
+    with caplog.at_level(logging.WARNING):
+        assert read_mesh(save(tub)).volume == pytest.approx(volume, rel=1e-5)
+    assert "1 holes up to 0.04 wide were closed" in caplog.text
+
+
+def test_a_wide_hole_in_a_curved_surface_is_refused_with_advice(save: Save) -> None:
+    half = creation.icosphere(subdivisions=3, radius=0.03)
+    x, y, _ = half.triangles_center.T
+    half.update_faces(x < 0.01 + 0.006 * np.cos(np.pi * y / 0.02))
+    with pytest.raises(ValueError, match=r"edges are open .* screened Poisson reconstruction"):
+        read_mesh(save(half))
+
+
+def test_a_sheet_without_volume(save: Save) -> None:
+    corners = np.array([(0, 0, 0), (0.05, 0, 0), (0.05, 0.05, 0.02), (0, 0.05, 0)])
+    sheet = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3), (0, 2, 1), (0, 3, 2)], process=False)
+    with pytest.raises(ValueError, match=r"must (enclose a volume|be watertight)"):
+        read_mesh(save(sheet))
+
+
+def test_a_foil_is_refused_with_its_thickness(save: Save) -> None:
+    with pytest.raises(ValueError, match=r"is 0\.05 mm thick; the cell simulates parts from 0\.2 mm on"):
+        read_mesh(save(creation.box((0.06, 0.04, 0.00005))))
+
+
+@pytest.mark.parametrize("size", [1e-6, 10.0])
+def test_parts_of_1_um_and_10_m(save: Save, size: float) -> None:
+    path = save(creation.box((size, size, size)), "part.ply")
+    with pytest.raises(ValueError, match=r"must be 0\.02 to 0\.2 m in this cell"):
+        read_mesh(path, unit="m")
+
+
+def test_many_faces_are_simplified_to_a_stated_deviation(save: Save, caplog: pytest.LogCaptureFixture) -> None:
+    fine = creation.cylinder(radius=0.02, height=0.05, sections=5)
+    volume = fine.volume
+    for _ in range(7):
+        fine = fine.subdivide()
+    with caplog.at_level(logging.WARNING):
+        mesh = read_mesh(save(fine))
+    assert mesh.volume == pytest.approx(volume, rel=1e-5)
+    assert len(mesh.faces) < 20_000
+    assert "has 327680 faces; it was simplified to" in caplog.text
+
+
+def test_faces_that_cannot_be_fewer_are_refused(save: Save, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("binpick_env.parts.mesh_file.MAX_FACES", 3)
+    with pytest.raises(ValueError, match=r"may have up to 3 faces, .* could not be simplified .* more coarsely"):
+        read_mesh(save(ell()))
