@@ -168,6 +168,44 @@ def shade(
 
 
 @njit(cache=True, nogil=True)
+def owners_of_depth(
+    depth: Singles, depth_true: Singles, instance_ids: NDArray[np.int64], off: float, reach: int
+) -> NDArray[np.int64]:
+    """Return the (H, W) int64 part whose surface each measured depth belongs to, -1 for none.
+
+    It is the part at the pixel if the depth there fits, or else the part at the nearest pixel whose depth fits, and
+    none where no pixel's does, as for flying pixels between two surfaces.
+
+    Args:
+        depth: (H, W) float32 measured depth [m], 0 where nothing is measured.
+        depth_true: (H, W) float32 true depth [m].
+        instance_ids: (H, W) part seen by each pixel, -1 for none.
+        off: Largest difference of depths that fit [m].
+        reach: Largest distance of the other pixel along rows and columns [px].
+    """
+    height, width = depth.shape
+    owners = np.full((height, width), -1, np.int64)
+    for v in range(height):
+        for u in range(width):
+            z = depth[v, u]
+            if z <= 0.0:
+                continue
+            if abs(z - depth_true[v, u]) <= off:
+                owners[v, u] = instance_ids[v, u]
+                continue
+            nearest = 2 * reach * reach + 1
+            for dv in range(-reach, reach + 1):
+                for du in range(-reach, reach + 1):
+                    w, s = v + dv, u + du
+                    squared = dv * dv + du * du
+                    if squared >= nearest or w < 0 or s < 0 or w >= height or s >= width:
+                        continue
+                    if depth_true[w, s] > 0.0 and abs(z - depth_true[w, s]) <= off:
+                        nearest, owners[v, u] = squared, instance_ids[w, s]
+    return owners
+
+
+@njit(cache=True, nogil=True)
 def projector_shadow(depth: Singles, K: Floats, baseline: float) -> Bools:
     """Return the (H, W) bool mask of pixels that a projector at camera x = ``baseline`` [m] does not reach.
 

@@ -7,13 +7,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from binpick_env.camera import _image_kernels
 from binpick_env.camera.appearance import Appearance
 from binpick_env.camera.depth_sensor import DepthSensor, TrueView
 from binpick_env.camera.egl import EglRenderer
 from binpick_env.camera.photograph import photograph
 from binpick_env.camera.raster import Rasteriser
 from binpick_env.camera.rays import RayCaster
-from binpick_env.camera.sensor import sensor_model
+from binpick_env.camera.sensor import SensorModel, sensor_model
 from binpick_env.camera.shading import Light
 from binpick_env.camera.surface import deviate, label_albedo, part_pixels
 from binpick_env.camera.view import Hits, View, geoms_in_camera, visible_geoms
@@ -23,6 +24,8 @@ from perception.geometry import Floats, camera_matrix, make_transform, require_s
 
 MARGIN = 0.03  # width of the rendered border around the bin's inner box [m]: its walls and a little of the table
 HEADROOM = 0.03  # height above the rim that is rendered, for a heaped pile [m]
+OFF = 0.005  # difference from the true depth up to which a measurement is of the pixel's own surface [m]
+REACH = 8  # distance up to which the surface of another depth is looked for [px]; beyond what sensors displace
 _TO_EYE = np.array([0.0, 0.0, -1.0], np.float32)
 
 
@@ -33,6 +36,8 @@ class Capture:
     Attributes:
         frame: What a real camera would deliver.
         instance_ids: (H, W) int64 part seen by each pixel, -1 for the container and for nothing.
+        measured_ids: (H, W) int64 part whose surface has the measured depth, -1 for none. It differs from
+            ``instance_ids`` where a sensor puts depths beside their surface, as stereo fattens what is in front.
         depth_true: (H, W) float32 noise-free depth [m], 0 where there is nothing or outside the region.
         normals: (H, W, 3) float32 unit normals, camera frame, towards the eye, smooth across facets; 0 for nothing.
         region: Half-open rectangle ``(u0, v0, u1, v1)`` of the pixels that were rendered.
@@ -41,6 +46,7 @@ class Capture:
 
     frame: Frame
     instance_ids: NDArray[np.int64]
+    measured_ids: NDArray[np.int64]
     depth_true: NDArray[np.float32]
     normals: NDArray[np.float32]
     region: tuple[int, int, int, int]
@@ -142,11 +148,24 @@ class DepthCamera:
         return Capture(
             frame=frame,
             instance_ids=instance_ids,
+            measured_ids=self._measured_ids(depth, depth_true, instance_ids, measures),
             depth_true=depth_true,
             normals=hits.normals,
             region=(u0, v0, u1, v1),
             T_world_cam=self.T_world_cam.copy(),
         )
+
+    def _measured_ids(
+        self,
+        depth: NDArray[np.float32],
+        depth_true: NDArray[np.float32],
+        instance_ids: NDArray[np.int64],
+        sensor: DepthSensor,
+    ) -> NDArray[np.int64]:
+        if isinstance(sensor, SensorModel):  # every depth is that of the pixel's own surface
+            return instance_ids
+        owners: NDArray[np.int64] = _image_kernels.owners_of_depth(depth, depth_true, instance_ids, OFF, REACH)
+        return owners
 
     def close(self) -> None:
         """Free the GL context of backend ``egl``; the other backends hold nothing."""

@@ -132,7 +132,7 @@ def _warm_up(perceiver: PixelPerceiver, mode: str, part: PartModel, workspace: W
 
 def point_owners(labelled: LabelledCapture, boundary: BoundaryCloud) -> NDArray[np.int64]:
     """Return the (N,) true parts that the boundary points lie on, -1 for none."""
-    owners: NDArray[np.int64] = labelled.capture.instance_ids[boundary.pixels[:, 1], boundary.pixels[:, 0]]
+    owners: NDArray[np.int64] = labelled.capture.measured_ids[boundary.pixels[:, 1], boundary.pixels[:, 0]]
     return owners
 
 

@@ -168,7 +168,7 @@ def make_scene(config: SceneConfig, index: int) -> CapturedScene:
         boundary=boundary,
         surface=coarse_surface(capture.frame, camera.workspace, model.d_max),
         K=capture.frame.K,
-        instance_ids=capture.instance_ids[boundary.pixels[:, 1], boundary.pixels[:, 0]],
+        instance_ids=capture.measured_ids[boundary.pixels[:, 1], boundary.pixels[:, 0]],
         T_cam_parts=T_cam_parts,
         centres_cam=transform_point_each(T_cam_parts, model.centre),
         visible_fractions=visible_fractions(capture, model.mesh, T_world_parts),

@@ -20,6 +20,7 @@ def capture() -> Capture:
     return Capture(
         frame=frame,
         instance_ids=ids,
+        measured_ids=ids,
         depth_true=depth,
         normals=np.zeros((*SHAPE, 3), np.float32),
         region=(0, 0, SHAPE[1], SHAPE[0]),
