@@ -143,13 +143,13 @@ class Shuffled:
 
 
 @pytest.mark.slow
-def test_the_weighted_score_picks_as_the_scripted_picker_does(env: GraspSelectionEnv) -> None:
+@pytest.mark.parametrize("seed", [40, 54])  # parts are delivered after a miss; the part of a miss would come first
+def test_the_weighted_score_picks_as_the_scripted_picker_does(env: GraspSelectionEnv, seed: int) -> None:
     """Bit for bit over a bin with failures, from the features alone: whatever the order of the rows."""
-    seed = 40
     scripted = run_bin(env.cell, ScriptedPicker(env.cell), seed)
     expected = [decision(pick) for pick in scripted.picks]
     assert len(expected) >= 3
-    assert {pick.success for pick in scripted.picks} == {False, True}
+    assert any(not pick.success for pick in scripted.attempts)
     for selector in (WeightedSelector(), Shuffled(WeightedSelector())):
         weighted = run_selector(env, selector, seed)
         assert [decision(pick) for pick in weighted.picks] == expected
