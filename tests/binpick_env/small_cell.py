@@ -3,6 +3,7 @@
 from typing import Any
 
 import gymnasium as gym
+import mujoco
 import numpy as np
 
 from binpick_env.cell.robot import HOME
@@ -45,6 +46,18 @@ def wait(simulation: Simulation, seconds: float, targets: Floats = HOME, gripper
     """Hold targets for a while."""
     for _ in range(round(seconds / CONTROL_PERIOD)):
         simulation.step(targets, gripper)
+
+
+def deepest_overlap(simulation: Simulation) -> float:
+    """Return MuJoCo's largest penetration [m] with every body awake: sleeping pairs are not looked at."""
+    awake = mujoco.MjData(simulation.model)
+    awake.qpos = simulation.data.qpos
+    flags = simulation.model.opt.enableflags
+    simulation.model.opt.enableflags = flags & ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    mujoco.mj_forward(simulation.model, awake)
+    simulation.model.opt.enableflags = flags
+    assert awake.ncon > 3 * simulation.in_play.sum()
+    return -float(awake.contact.dist.min())
 
 
 def grip(simulation: Simulation, i: int, width: float = 0.02) -> None:

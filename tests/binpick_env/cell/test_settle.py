@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -10,9 +9,8 @@ from binpick_env.cell import settle
 from binpick_env.cell.settle import SettleError, drop_and_settle, inside_bin
 from binpick_env.cell.simulation import Simulation
 from binpick_env.config import BinConfig, CellConfig, ContactConfig
-from binpick_env.parts import load_part
 from perception.geometry import Floats, transform_points
-from tests.binpick_env.small_cell import centred, small_simulation
+from tests.binpick_env.small_cell import centred, deepest_overlap, small_simulation
 
 COUNT = 12
 PILES = 14  # whose mean heights are compared
@@ -69,18 +67,6 @@ def test_all_sleep_inside_the_bin(pile: Simulation) -> None:
         low = points_bin[points_bin[:, 2] < workspace.inner_size[2]]  # those above the rim may lean over it
         assert (np.abs(low[:, :2]) < workspace.inner_size[:2] / 2 + 0.0015).all()
         assert points_bin[:, 2].min() > -0.0015
-
-
-def deepest_overlap(simulation: Simulation) -> float:
-    """Return MuJoCo's largest penetration [m] with every body awake: sleeping pairs are not looked at."""
-    awake = mujoco.MjData(simulation.model)
-    awake.qpos = simulation.data.qpos
-    flags = simulation.model.opt.enableflags
-    simulation.model.opt.enableflags = flags & ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-    mujoco.mj_forward(simulation.model, awake)
-    simulation.model.opt.enableflags = flags
-    assert awake.ncon > 3 * simulation.in_play.sum()
-    return -float(awake.contact.dist.min())
 
 
 def test_nothing_interpenetrates(pile: Simulation) -> None:
@@ -142,16 +128,6 @@ def test_a_diverging_pile_is_drawn_again(shared: Simulation, monkeypatch: pytest
     drop(shared, seed=0, count=4)
     assert calls[:2] == [4, 4]
     assert inside_bin(shared)[:4].all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["part_a", "part_b", "part_c", "tee", "bracket"])
-def test_standard_bins_of_every_part_settle(name: str) -> None:
-    simulation = Simulation(CellConfig(), load_part(name), 24)
-    drop(simulation, seed=11, count=24)
-    assert simulation.asleep().all()
-    assert inside_bin(simulation).all()
-    assert deepest_overlap(simulation) < 0.0015
 
 
 @pytest.mark.slow

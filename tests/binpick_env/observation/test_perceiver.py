@@ -1,7 +1,5 @@
 """The oracle: which parts it offers, in which order, and how large its errors are; and how a perceiver is chosen."""
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,6 @@ from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.weights import WeightsError
 
 WORKSPACE = BinConfig().workspace()
-ROOT = Path(__file__).resolve().parents[3]
 
 
 def off_centre() -> PartModel:
@@ -196,20 +193,3 @@ def test_a_part_without_weights_is_told_how_to_train_them_and_what_else_there_is
         "perception='gt_masks' (true segments) and 'oracle' (true poses)",
     ):
         assert told in text
-
-
-@pytest.mark.slow
-def test_the_oracle_loads_no_torch() -> None:
-    """Those that work from pixels are asked in test_warm_up.py."""
-    code = """
-import sys
-import gymnasium as gym
-import binpick_env
-env = gym.make("BinPick-v0", num_parts=1, perception="oracle", threads=1)
-observation, _ = env.reset(seed=31)
-assert observation["candidate_mask"].sum() == 1
-print("torch" in sys.modules)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "False\n"

@@ -40,6 +40,7 @@ def late_kernels(perception):
     print("torch" in sys.modules, len(env.candidates), sum(after.values()), *sorted(late))
 
 late_kernels("gt_masks")
+late_kernels("oracle")
 late_kernels("learned")
 """
 
@@ -49,7 +50,7 @@ def test_no_kernel_is_compiled_in_the_first_frame_and_torch_is_loaded_for_a_netw
     run = subprocess.run(
         [sys.executable, "-c", FIRST_FRAME], env=os.environ, capture_output=True, text=True, check=True
     )
-    for line, torch in zip(run.stdout.splitlines(), (False, True), strict=True):
+    for line, torch in zip(run.stdout.splitlines(), (False, False, True), strict=True):
         loaded, candidates, compiled, *late = line.split()
         assert loaded == str(torch)
         assert int(candidates) == 3

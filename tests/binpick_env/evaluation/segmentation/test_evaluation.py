@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,21 @@ from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.surface import Surface
 from perception.segmentation.weights import WeightsError, save_network
 from tests.binpick_env.evaluation.segmentation.small_evaluation import SCENES, summary_of, tiny_grid
+from tests.binpick_env.jobs.pickled_map import pickled_map
+
+captured_scene = lru_cache(make_scene)  # nothing here changes a scene
+
+
+@pytest.fixture(autouse=True)
+def _scenes_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evaluation, "make_scene", captured_scene)
 
 
 def predict_instead(monkeypatch: pytest.MonkeyPatch, answer: Any) -> None:
     """Replace the predictions of each scene by ``answer(ids)`` of its true ids."""
     truths = {}
     for index in range(3):
-        scene = make_scene(SCENES, index).scene
+        scene = captured_scene(SCENES, index).scene
         truths[scene.boundary.pixels.tobytes()] = scene.instance_ids
 
     def predict(_: object, boundary: BoundaryCloud, surface: Surface, d_max: float) -> list[Instance]:
@@ -85,7 +94,7 @@ def test_each_counted_part_is_in_one_band(tmp_path: Path, config: EvaluationConf
         record = SceneRecord.load(record_path(tmp_path, score.index))
         counted = (record.visible_fractions >= 0.1) & (np.bincount(record.instance_ids + 1)[1:] >= 100)
         assert sum(score.matches.truth_counts.values()) == counted.sum()
-        assert score.clutter.median == np.median(make_scene(SCENES, score.index).scene.visible_fractions)
+        assert score.clutter.median == np.median(captured_scene(SCENES, score.index).scene.visible_fractions)
 
 
 def test_a_scenes_time_is_the_sum_of_its_stages_after_a_warm_up(config: EvaluationConfig) -> None:
@@ -128,10 +137,13 @@ def test_a_run_is_resumed_and_damaged_records_are_computed_again(
     assert record_path(tmp_path, 0).stat().st_mtime_ns > kept
 
 
-@pytest.mark.slow
-def test_the_records_do_not_depend_on_the_workers(tmp_path: Path, config: EvaluationConfig) -> None:
+def test_the_records_do_not_depend_on_the_workers(
+    tmp_path: Path, config: EvaluationConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Processes are started in the evaluation of poses."""
     list(evaluate_scenes(config, 2, tmp_path / "1", 1, pictures=False))
-    list(evaluate_scenes(config, 2, tmp_path / "2", 2))
+    monkeypatch.setattr(evaluation, "map_indices", pickled_map)
+    assert list(evaluate_scenes(config, 2, tmp_path / "2", 2)) == [1, 0]
     for index in range(2):
         one, two = (SceneRecord.load(record_path(tmp_path / name, index)) for name in "12")
         np.testing.assert_array_equal(one.instance_ids, two.instance_ids)
