@@ -5,8 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
+from perception.runtime.cache import cache_folder, digest
+
+ROOT = Path(__file__).resolve().parents[2]
 POSE_TESTS = Path(__file__).parent / "pose"
 KERNELS = (
     "hypotheses/test_voting",
@@ -28,9 +32,16 @@ read(np.zeros(3), 3)
 
 
 @pytest.fixture
-def checked(tmp_path: Path) -> dict[str, str]:
-    """Return an environment with the check on; numba's own cache does not tell checked code from unchecked."""
-    return {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+def checked() -> dict[str, str]:
+    """Return an environment with the check on.
+
+    Numba's own cache does not tell checked code from unchecked, nor does it see a change in another file, of a kernel
+    or a constant: checked code has a folder of its own for each state of the sources.
+    """
+    sources = [(str(path), path.read_text()) for path in sorted((ROOT / "perception").rglob("*.py"))]
+    assert len(sources) > 50
+    folder = cache_folder() / f"checked-kernels-{digest(numba.__version__, *sources)}"
+    return {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(folder)}
 
 
 def test_the_check_sees_an_index_out_of_bounds(checked: dict[str, str]) -> None:
