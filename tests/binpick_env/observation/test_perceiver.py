@@ -14,6 +14,7 @@ from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.oracle import OFFERED_FROM, OraclePerceiver, PoseNoise
 from perception.geometry import Floats, make_transform, random_rotation, rotation_angle, transform_points
 from perception.part import PartModel
+from perception.segmentation import weights
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.weights import WeightsError
 
@@ -183,13 +184,14 @@ def test_a_part_without_weights_is_told_how_to_train_them_and_what_else_there_is
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path))  # where a user's own would lie
+    monkeypatch.setattr(weights, "SHIPPED", tmp_path / "shipped")  # its networks for several parts serve for any
     with pytest.raises(WeightsError) as raised:
         make_perceiver("learned", off_centre(), WORKSPACE)
     text = str(raised.value)
     for told in (
         "perception='learned' cannot recognise 'block'",
-        "binpick generate-scenes --part block",
-        "binpick train-segmentation --part block",
+        "make scenes with binpick generate-scenes",
+        "train with binpick train-segmentation",
         "perception='gt_masks' (true segments) and 'oracle' (true poses)",
     ):
         assert told in text

@@ -117,8 +117,8 @@ def test_the_main_owner_by_hand(owners: list[int], part: int) -> None:
 
 
 def test_a_group_on_the_container_is_no_parts(known: BinPickEnv) -> None:
-    ids = np.where(known.labelled_capture.capture.instance_ids >= 0, -1, 0)
-    view = replace(known.labelled_capture, capture=replace(known.labelled_capture.capture, instance_ids=ids))
+    ids = np.where(known.labelled_capture.capture.measured_ids >= 0, -1, 0)
+    view = replace(known.labelled_capture, capture=replace(known.labelled_capture.capture, measured_ids=ids))
     perceiver = PixelPerceiver(lambda _: seen_in(known), estimator_of(known))
     observed = perceiver.perceive(view, np.random.default_rng(0))
     assert [c.part for c in observed.candidates] == [-1, -1, -1]
