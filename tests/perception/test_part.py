@@ -142,9 +142,10 @@ def test_diameter_agrees_with_the_naive_twin(seed: int, count: int) -> None:
 
 def test_diameter_of_a_hull_of_many_points(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(part, "_MOST_PAIRS", 1000)
-    sphere = trimesh.creation.uv_sphere(radius=0.04, count=(36, 36))  # all vertices on the hull: two blocks
-    assert len(ConvexHull(sphere.vertices).vertices) > 1100
-    assert diameter(sphere.vertices) == pytest.approx(0.08, abs=1e-9)
+    sphere = trimesh.creation.uv_sphere(radius=0.04, count=(36, 36)).vertices
+    points = np.concatenate([sphere, [[0.0401, 0.0, 0.0], [-0.0401, 0.0, 0.0]]])  # farthest apart, in the last block
+    assert len(ConvexHull(points).vertices) > 1100
+    assert diameter(points) == pytest.approx(0.0802, abs=1e-9)
 
 
 def test_diameter_of_a_box_is_its_diagonal() -> None:
