@@ -27,7 +27,7 @@ def test_evaluate_segmentation_judges_resumes_and_refuses_another_method(tmp_pat
     arguments = ["--count", "2", "--workers", "1", "--html", "--gallery", "1"]
     done = run("evaluate-segmentation", *arguments, *common, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "tee · tiny.safetensors · sensor good · 2 scenes · seed 7" in done.stdout
+    assert "tee · tiny.safetensors, own · sensor good · 2 scenes · seed 7" in done.stdout
     assert "hand-labelled real scenes" in done.stdout.replace("\n", " ")
     assert (out / "report.html").read_text().count("<h3>Scene") == 1
     made = (out / "scene_00000.npz").stat().st_mtime_ns

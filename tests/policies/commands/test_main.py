@@ -133,6 +133,7 @@ def test_an_unknown_option_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> N
     assert "--teapot" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_every_script_is_a_command() -> None:
     assert sorted(path.name for path in (ROOT / "scripts").glob("*.py")) == sorted(script(name).name for name in NAMES)
     assert run_script("evaluate-pose", "--count", "0", "--perception", "gt_masks").returncode == 2

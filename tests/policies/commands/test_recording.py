@@ -59,6 +59,7 @@ def test_the_worker_that_picks_the_first_bin_records_it(tmp_path: Path) -> None:
     assert rows["/world/seen/segments"] == rows["/world/seen/cloud"] >= len({pick["frame_id"] for pick in before[0]})
 
 
+@pytest.mark.slow
 def test_a_bin_that_is_there_is_computed_again_for_its_recording(tmp_path: Path) -> None:
     common = [*TINY, "--part", "part_c", "--bins", "1", "--seed", "31", "--no-html", "--out", str(tmp_path / "out")]
     assert pick.main(common) == 0

@@ -20,6 +20,7 @@ def call(*arguments: object) -> int:
     return s3dis.main([str(argument) for argument in arguments])
 
 
+@pytest.mark.slow
 def test_synthesize_prepare_and_both_identities(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     raw, rooms = tmp_path / "raw", tmp_path / "rooms"
     made = ("synthesize", "--out", raw, "--rooms", 3, "--seed", 31, "--density", 150, "--workers", 1)
@@ -127,6 +128,7 @@ def small_rooms(tmp_path: Path) -> Path:
     return tmp_path / "rooms"
 
 
+@pytest.mark.slow
 def test_train_and_evaluate_print_table_1_with_our_row(
     small_rooms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -153,6 +155,7 @@ def test_train_and_evaluate_print_table_1_with_our_row(
     assert "last row: 2 rooms" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_table_trains_every_row_and_goes_on_with_more_seeds(
     small_rooms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
