@@ -312,7 +312,7 @@ def test_an_invalid_evaluation_leaves_no_folder(tmp_path: Path, truth_estimators
 
 @pytest.mark.slow
 def test_the_records_do_not_depend_on_the_workers(tmp_path: Path) -> None:
-    """In processes of their own, which make the scenes, too: those of segmentation and of trainings are the same."""
+    """In processes of their own, which make the scenes, too; the evaluation of segments starts its own likewise."""
     small = replace(config(), scenes=replace(SCENES, num_parts=(1, 1)))
     list(evaluate_poses(small, 2, tmp_path / "1", 1, pictures=False))
     list(evaluate_poses(small, 2, tmp_path / "2", 2, pictures=False))
