@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import logging
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -16,6 +17,7 @@ from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
 from policies.picking.settings import PickerSettings
 
+_log = logging.getLogger(__name__)
 # Fields that the digest leaves out where they are None, so that folders of older runs keep their digest.
 _NEWER_FIELDS = ("jaw", "friction")
 
@@ -73,16 +75,20 @@ class EvaluationConfig:
         )
 
     def weights(self) -> dict[str, str] | None:
-        """Return name, SHA-256 and training of the network that segments; None where perception uses none.
+        """Return name, SHA-256 and training of the network that segments.
 
-        Raises:
-            WeightsError: There is no network for the part.
+        It is None where perception uses none, and where the part's file or its network is there no longer: stored
+        records can be summarised without them.
         """
         if self.perception != "learned":
             return None
         from perception.segmentation.weights import find_weights  # here, since it loads torch
 
-        found = find_weights(self.options().load_part().model)
+        try:
+            found = find_weights(self.options().load_part().model)
+        except (OSError, ValueError) as error:
+            _log.warning("the weights of these records are not known: %s", error)
+            return None
         sha256 = hashlib.sha256(found.path.read_bytes()).hexdigest()
         return {"name": found.path.name, "sha256": sha256, "training": found.training}
 

@@ -148,7 +148,7 @@ def test_the_unit_of_a_file_arrives(tmp_path: Path, cache: Path) -> None:
         ({"width": 8}, "the image must be at least 16 x 16, got 8 x 960"),
         ({"height": 8}, "the image must be at least 16 x 16, got 1280 x 8"),
         ({"backend": "gl"}, "backend must be one of rays, egl, raster, got 'gl'"),
-        ({"sensor": "fine"}, "sensor must be one of none, good, harsh, got 'fine'"),
+        ({"sensor": "fine"}, "sensor must be one of none, good, harsh, stereo, tof, got 'fine'"),
         ({"hand_eye_mm": 16.0}, r"hand_eye_mm must be from 0 to 15 mm, got 16\.0"),
         ({"hand_eye_mm": -1.0}, r"hand_eye_mm must be from 0 to 15 mm, got -1\.0"),
         ({"friction": -0.1}, r"friction must be from 0 to 2, got -0\.1"),

@@ -101,4 +101,5 @@ def test_impossible_settings_are_refused(tmp_path: Path, monkeypatch: pytest.Mon
     learned = EvaluationConfig(part=str(tmp_path / "block.stl")).weights()
     assert learned is not None
     assert learned["training"] == "zero-shot"
+    assert EvaluationConfig(part=str(tmp_path / "gone.stl")).weights() is None  # its records are still summarised
     assert EvaluationConfig(part=str(tmp_path / "block.stl"), perception="oracle").check().model.name == "block"
