@@ -62,9 +62,10 @@ def check_environment() -> None:
 
 def check_weights() -> None:
     """Load the network that came with the wheel: a cell that perceives by it compiles more than a test waits for."""
+    from binpick_env.parts import load_part
     from perception.segmentation.predictor import SegmentationPredictor
 
-    SegmentationPredictor.for_part("tee", device="cpu")
+    SegmentationPredictor.for_part(load_part("tee").model, device="cpu")
 
 
 def main() -> None:

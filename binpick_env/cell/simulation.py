@@ -71,8 +71,9 @@ class Simulation:
         self._noslip = int(self.model.opt.noslip_iterations)
         self.substeps = round(CONTROL_PERIOD / self.model.opt.timestep)
         # A uniform quadratic B-spline through the targets: smooth in velocity, half a control period late.
-        times = [k / self.substeps for k in range(1, self.substeps + 1)]
-        self._spline = [(s, 0.5 * np.array([(1 - s) ** 2, 1 + 2 * s - 2 * s**2, s**2])) for s in times]
+        self._spline_times = np.array([k / self.substeps for k in range(1, self.substeps + 1)])
+        blends = [0.5 * np.array([(1 - s) ** 2, 1 + 2 * s - 2 * s**2, s**2]) for s in self._spline_times.tolist()]
+        self._spline_blends = np.stack(blends)
         self.gripper_open = 0.0
         self.reset()
         if config.robot.jaw is not None:
@@ -252,7 +253,7 @@ class Simulation:
         self.model.opt.noslip_iterations = self._noslip if self.gripped() else 0
         let_go = self.touched_by_robot() if jaw_to < jaw_from else None
         targets = np.stack([self._target_before, self.target, goal])
-        for s, blend in self._spline:
+        for s, blend in zip(self._spline_times.tolist(), self._spline_blends, strict=True):
             velocity = velocity_before + s * (velocity_after - velocity_before)
             self.data.ctrl[:6] = blend @ targets + self._lag * velocity + inertial
             self.data.ctrl[self._gripper_actuator] = 255.0 * (jaw_from + s * (jaw_to - jaw_from))
