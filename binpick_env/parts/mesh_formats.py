@@ -16,6 +16,8 @@ _ANGLE = 0.2  # largest angle between neighbouring facets of a STEP file [rad]
 _STEP_TIMEOUT = 600.0  # time after which the tessellation is given up [s]
 _BEGINNINGS = {b"ISO-10303-21": ".step", b"glTF": ".glb", b"PK\x03\x04": ".3mf", b"ply": ".ply", b"OFF": ".off"}
 _UNITS_3MF = {"micron": 1e-6, "millimeter": 0.001, "centimeter": 0.01, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
+_POLYGONS = (".obj", ".ply", ".off")  # formats whose faces may have more than three corners
+_SLIVER = 1e-5  # height of a triangle, as a share of the mesh's size, below which its normal means nothing
 _STL_HEADER, _STL_FACE = 84, 50  # lengths of a binary STL's header and of a triangle [bytes]
 
 
@@ -46,6 +48,9 @@ def read_bodies(path: Path) -> tuple[list[trimesh.Trimesh], str | None]:
     meshes = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not meshes:
         raise ValueError(f"{path} holds no triangles")
+    if suffix in _POLYGONS:
+        for mesh in meshes:
+            _require_unfolded(path, mesh)
     return meshes, unit
 
 
@@ -58,6 +63,24 @@ def _require_content(path: Path, data: bytes) -> None:
             raise ValueError(f"{path} is not what its name says: its content is that of a {suffix} file; rename it")
     if path.suffix.lower() in (".step", ".stp") and not beginning.startswith(b"ISO-10303-21"):
         raise ValueError(f"{path} is no STEP file: it must begin with ISO-10303-21, got {bytes(beginning[:16])!r}")
+
+
+def _require_unfolded(path: Path, mesh: trimesh.Trimesh) -> None:
+    """Refuse neighbouring triangles that lie on each other: concave polygons that were read as fans of triangles."""
+    edges = mesh.vertices[mesh.face_adjacency_edges]
+    lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+    along = (edges[:, 1] - edges[:, 0]) / np.maximum(lengths, 1e-300)[:, None]
+    across = mesh.vertices[mesh.face_adjacency_unshared] - edges[:, :1]
+    across = across - np.einsum("nki,ni->nk", across, along)[:, :, None] * along[:, None]
+    heights = np.linalg.norm(across, axis=2)
+    cosines = np.einsum("ni,ni->n", across[:, 0], across[:, 1]) / np.maximum(heights.prod(axis=1), 1e-300)
+    thick = (heights > _SLIVER * float(mesh.scale)).all(axis=1)
+    count = int(np.count_nonzero(thick & (cosines > 1 - 1e-6)))  # both on one side of their edge, whatever the winding
+    if count:
+        raise ValueError(
+            f"{path} has {count} pairs of neighbouring triangles that lie on each other, which happens where a concave "
+            "face has more than three corners: triangulate the faces when exporting the model"
+        )
 
 
 def _parsed(path: Path, suffix: str, data: bytes) -> tuple[list[trimesh.Trimesh], str | None]:

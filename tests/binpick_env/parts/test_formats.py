@@ -261,3 +261,20 @@ def test_faces_that_cannot_be_fewer_are_refused(save: Save, monkeypatch: pytest.
     monkeypatch.setattr("binpick_env.parts.mesh_file.MAX_FACES", 3)
     with pytest.raises(ValueError, match=r"may have up to 3 faces, .* could not be simplified .* more coarsely"):
         read_mesh(save(ell()))
+
+
+@pytest.mark.parametrize("first", range(6))
+def test_a_concave_polygon_is_read_right_or_refused(tmp_path: Path, first: int) -> None:
+    corners = np.array([(0, 0), (40, 0), (40, 20), (20, 20), (20, 40), (0, 40)], float)
+    cap = np.roll(np.arange(6), -first)  # a fan from corner 0 or 3 covers the L, any other fills its notch
+    points = [f"v {x} {y} {z}" for z in (0, 10) for x, y in corners]
+    sides = [f"f {k + 1} {(k + 1) % 6 + 1} {(k + 1) % 6 + 7} {k + 7}" for k in range(6)]
+    caps = ["f " + " ".join(str(k + 1) for k in np.roll(cap[::-1], 1)), "f " + " ".join(str(k + 7) for k in cap)]
+    path = text(tmp_path / "ell.obj", "\n".join([*points, *sides, *caps]))
+    if first in (0, 3):
+        mesh = read_mesh(path)
+        assert mesh.area == pytest.approx(2 * 1200e-6 + 160e-3 * 10e-3)
+        assert mesh.volume == pytest.approx(1200e-6 * 10e-3)
+    else:
+        with pytest.raises(ValueError, match=r"triangles that lie on each other.*: triangulate the faces when export"):
+            read_mesh(path)
