@@ -3,6 +3,7 @@
 import logging
 from pathlib import Path
 
+import manifold3d
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -94,7 +95,7 @@ def _without_internal_faces(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _filled(mesh: trimesh.Trimesh, extent: float) -> tuple[trimesh.Trimesh, float, int]:
-    """Return the mesh with its flat holes and small ones closed by fans, the widest one's width and their number."""
+    """Return the mesh with its flat holes and small ones closed, the widest one's width and their number."""
     loops = _loops(mesh)
     vertices, faces = np.asarray(mesh.vertices, np.float64), [np.asarray(mesh.faces)]
     added: list[Floats] = []
@@ -102,20 +103,35 @@ def _filled(mesh: trimesh.Trimesh, extent: float) -> tuple[trimesh.Trimesh, floa
     for loop in loops:
         border = vertices[loop]
         centre = border.mean(axis=0)
-        normal = np.linalg.svd(border - centre)[2][2]
-        width, bend = float(np.ptp(border, axis=0).max()), float(np.abs((border - centre) @ normal).max())
+        axes = np.linalg.svd(border - centre)[2]
+        width, bend = float(np.ptp(border, axis=0).max()), float(np.abs((border - centre) @ axes[2]).max())
         if bend > _FLAT * extent and width > _SMALL * extent:
             continue
-        ahead = np.roll(loop, -1)
-        if len(loop) == 3:
-            faces.append(loop[None, ::-1])
+        if bend <= _FLAT * extent:
+            faces.append(_flat_faces(loop, (border - centre) @ axes[:2].T))
         else:
+            ahead = np.roll(loop, -1)
             hub = np.full(len(loop), len(vertices) + len(added))
             added.append(centre)
             faces.append(np.stack([ahead, loop, hub], axis=1))
         widest, count = max(widest, width), count + 1
     filled = trimesh.Trimesh(np.vstack([vertices, *added]), np.concatenate(faces), process=False)
     return filled, widest, count
+
+
+def _flat_faces(loop: NDArray[np.int64], outline: Floats) -> NDArray[np.int64]:
+    """Return (T, 3) faces that fill a loop, concave or not, against its direction.
+
+    Args:
+        loop: (N,) vertices around the hole.
+        outline: (N, 2) their coordinates in the plane of the hole.
+    """
+    x, y = outline.T
+    turns_left = float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) > 0
+    order = np.arange(len(loop)) if turns_left else np.arange(len(loop))[::-1]  # the library asks for left turns
+    triangles = order[manifold3d.triangulate([np.ascontiguousarray(outline[order])])]
+    faces: NDArray[np.int64] = loop[triangles[:, ::-1] if turns_left else triangles]
+    return faces
 
 
 def _loops(mesh: trimesh.Trimesh) -> list[NDArray[np.int64]]:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -262,6 +262,23 @@ def scene_settings(config: SceneConfig) -> dict[str, Any]:
     if config.part not in (*CATALOGUE, MANY_PARTS) and not is_generated(config.part):
         values["file"] = hashlib.sha256(Path(config.part).read_bytes()).hexdigest()
     return values
+
+
+def is_of_part(stored: Mapping[str, Any], config: SceneConfig) -> bool:
+    """Tell whether stored scenes may show the part of a configuration.
+
+    Files are compared by their content, or by their names where an older folder does not tell it. Scenes of
+    `MANY_PARTS` show every generated part.
+
+    Args:
+        stored: Settings of the stored scenes, as :func:`scene_settings` returns them.
+        config: Configuration of other scenes.
+    """
+    if stored["part"] == MANY_PARTS and is_generated(config.part):
+        return True
+    if stored.get("file") is not None:
+        return bool(stored["file"] == scene_settings(config).get("file"))
+    return Path(str(stored["part"])).stem == Path(config.part).stem
 
 
 def _is_whole(path: Path) -> bool:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from binpick_env.parts.label import part_label
+from binpick_env.parts.unit import Unit
 from perception.segmentation.training.choices import PresetName
 from policies.commands.command_line import exit_code, parse
 
@@ -25,6 +26,7 @@ class Arguments:
 
     # parts that the network is for; generated: a network for every part, from scenes of generated parts
     part: tuple[str, ...] = ("tee",)
+    unit: Unit | None = None  # length unit of part files' coordinates; guessed from the part's size unless given
     # folders of generate-scenes to train on; runs/scenes-PART-0 of each part unless given
     scenes: tuple[Path, ...] = ()
     # folders of generate-scenes to evaluate on; the first scenes of each folder unless given
@@ -128,7 +130,7 @@ def _train_at(args: Arguments, place: "Place") -> str | None:
     trainer = Trainer(config, batches, args.length(config, len(scenes), place.world), device)
     names = tuple(part_label(part) for part in args.part)
     uses = {"trained_on": scene_sources(training), "validated_on": scene_sources(validation)}
-    sources = {**_known_shapes(args.part), **uses}
+    sources = {**_known_shapes(args.part, args.unit), **uses}
     run = RunConfig(
         sources=sources, out=out, parts=names, initial=args.initial, evaluate_every=args.evaluate_every, leader=leader
     )
@@ -139,7 +141,7 @@ def _train_at(args: Arguments, place: "Place") -> str | None:
     return _deliver(args, out, last) if leader else None
 
 
-def _known_shapes(parts: tuple[str, ...]) -> dict[str, Any]:
+def _known_shapes(parts: tuple[str, ...], unit: Unit | None) -> dict[str, Any]:
     """Return what the record of the weights says of the shapes that were trained on."""
     from binpick_env.parts.families import HELD_OUT_FAMILIES, TRAINING_FAMILIES
     from binpick_env.parts.label import GENERATED
@@ -148,7 +150,8 @@ def _known_shapes(parts: tuple[str, ...]) -> dict[str, Any]:
     from perception.shape import shape_signature
 
     if parts != (MANY_PARTS,):
-        return {"shapes": {part_label(part): shape_signature(load_part(part).model) for part in parts}}
+        units = {part: unit if Path(part).suffix else None for part in parts}  # a catalogue part has none
+        return {"shapes": {part_label(p): shape_signature(load_part(p, unit=units[p]).model) for p in parts}}
     families = {"families": TRAINING_FAMILIES, "held_out_families": HELD_OUT_FAMILIES}
     return {
         "general": True,

@@ -18,7 +18,7 @@ from binpick_env.evaluation.segmentation.summary import load_scores
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.parts.label import part_label
-from binpick_env.scenes.synthesis import SceneConfig, generate_scenes, scene_settings
+from binpick_env.scenes.synthesis import SceneConfig, generate_scenes, is_of_part, scene_settings
 from perception.metrics.average_precision import ap_summary
 from perception.metrics.matching import SceneMatches
 from perception.runtime.files import json_text, write_atomically
@@ -127,12 +127,12 @@ class AblationConfig:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         for name, made in (("training", TRAINING_SEED), ("validation", VALIDATION_SEED)):
             folder = getattr(self, name)
-            if (made if folder is None else _seed_of(folder, self.scenes.part)) == self.scenes.seed:
+            if (made if folder is None else _seed_of(folder, self.scenes)) == self.scenes.seed:
                 raise ValueError(
                     f"the {name} scenes are those of seed {self.scenes.seed}, which are evaluated; choose another seed"
                 )
         seeds = [
-            made if folder is None else _seed_of(folder, self.scenes.part)
+            made if folder is None else _seed_of(folder, self.scenes)
             for folder, made in ((self.training, TRAINING_SEED), (self.validation, VALIDATION_SEED))
         ]
         if seeds[0] is not None and seeds[0] == seeds[1]:
@@ -146,11 +146,11 @@ class AblationConfig:
         return {**scene_settings(self.scenes), **paths, **sizes, **{k: asdict(v) for k, v in self.trainings.items()}}
 
 
-def _seed_of(folder: Path, part: str) -> int | None:
-    """Return the seed of a folder of generated scenes of ``part``; None if it is unknown or of another part."""
+def _seed_of(folder: Path, scenes: SceneConfig) -> int | None:
+    """Return the seed of a folder of scenes of the part of ``scenes``; None if it is unknown or of another part."""
     try:
         stored = json.loads((folder / SCENES_NOTE).read_text())
-        return int(stored["seed"]) if part_label(stored["part"]) == part_label(part) else None
+        return int(stored["seed"]) if is_of_part(stored, scenes) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

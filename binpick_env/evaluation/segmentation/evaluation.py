@@ -16,7 +16,7 @@ from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord, reco
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.scenes.boundary_quality import wrong_side
-from binpick_env.scenes.synthesis import SceneConfig, make_scene, scene_settings
+from binpick_env.scenes.synthesis import SceneConfig, is_of_part, make_scene, scene_settings
 from perception.boundary import extract_boundary
 from perception.frame import Frame, Workspace
 from perception.instance import Instance, labels_of
@@ -133,18 +133,11 @@ def require_unseen(config: EvaluationConfig) -> None:
     record = load_record(config.method.weights)
     for use in ("trained_on", "validated_on"):
         for source in record.get(use, []):
-            if _same_part(source, config.scenes) and source["seed"] == config.scenes.seed:
+            if is_of_part(source, config.scenes) and source["seed"] == config.scenes.seed:
                 raise ValueError(
                     f"{config.method.weights} has been {use.replace('_', ' ')} scenes of seed {config.scenes.seed}; "
                     "evaluate it with another seed"
                 )
-
-
-def _same_part(source: dict[str, Any], scenes: SceneConfig) -> bool:
-    """Tell whether scenes of a training are of the part of ``scenes``; files are compared by content where known."""
-    if source.get("file") is not None:
-        return bool(source["file"] == scene_settings(scenes).get("file"))
-    return Path(str(source["part"])).stem == Path(scenes.part).stem
 
 
 def _segment(

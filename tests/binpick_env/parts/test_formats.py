@@ -218,6 +218,16 @@ def test_flat_holes_are_closed_however_wide(save: Save, caplog: pytest.LogCaptur
     assert "1 holes up to 0.04 wide were closed" in caplog.text
 
 
+def test_a_flat_concave_hole_is_closed_by_faces_that_do_not_overlap(save: Save) -> None:
+    whole = ell()
+    cap = np.isclose(whole.triangles[:, :, 1], 0.015).all(axis=1)  # the L itself
+    opened = trimesh.Trimesh(whole.vertices, whole.faces[~cap], process=False)
+    assert not opened.is_watertight
+    mesh = read_mesh(save(opened), "m")
+    assert mesh.area == pytest.approx(whole.area, rel=1e-6)
+    assert mesh.volume == pytest.approx(whole.volume, rel=1e-6)
+
+
 def test_a_wide_hole_in_a_curved_surface_is_refused_with_advice(save: Save) -> None:
     half = creation.icosphere(subdivisions=3, radius=0.03)
     x, y, _ = half.triangles_center.T

@@ -26,8 +26,10 @@ from binpick_env.scenes.synthesis import (
     draw_light,
     ensure_folder_config,
     generate_scenes,
+    is_of_part,
     make_scene,
     scene_path,
+    scene_settings,
 )
 from perception.boundary import organised_points
 from perception.geometry import invert_transform, project_points, transform_points
@@ -293,6 +295,22 @@ def test_a_scene_of_many_parts_is_that_of_its_part_and_index() -> None:
     scene, direct = (make_scene(config, index).scene for config in (many, many.at(index)))
     assert scene.part.startswith("generated:pulley")
     assert same(scene, direct)
+
+
+def test_stored_scenes_are_of_a_part_by_its_files_content_or_name(tmp_path: Path) -> None:
+    paths = [tmp_path / folder / "lid.stl" for folder in ("a", "b")]
+    for path, content in zip(paths, ("one", "two"), strict=True):
+        path.parent.mkdir()
+        path.write_text(content)
+    first, second = (SceneConfig(part=str(path)) for path in paths)
+    stored = scene_settings(first)
+    assert is_of_part(stored, first)
+    assert not is_of_part(stored, second)  # another part of that name
+    assert is_of_part({**stored, "part": "elsewhere/cover.stl"}, first)  # the file was moved and renamed
+    assert is_of_part({"part": "elsewhere/lid.stl"}, second)  # an older folder tells the name alone
+    many = scene_settings(SceneConfig(part=MANY_PARTS))
+    assert is_of_part(many, SceneConfig(part="generated:clevis:3"))
+    assert not is_of_part(many, SceneConfig(part="tee"))
 
 
 @pytest.mark.parametrize("damage", ["{", "[]", "3", ""])

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 import torch
+import trimesh
 
 from binpick_env.parts.families import HELD_OUT_FAMILIES, TRAINING_FAMILIES
+from binpick_env.parts.label import part_label
 from binpick_env.parts.part import load_part
 from perception.segmentation.scene import SCENES_NOTE
 from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS
@@ -68,6 +70,16 @@ def test_the_network_for_every_part_knows_its_families_and_serves_parts_without_
     assert find_weights(load_part("tee").model).path.name == "shared.safetensors"
     record = load_record(installed)
     assert record["held_out_families"] == [f"generated:{name}" for name in HELD_OUT_FAMILIES]
+
+
+def test_the_unit_of_a_part_file_is_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trimesh.creation.box((2.0, 1.5, 1.0)).export("lid.stl")  # 2 inches, or 2 m
+    (tmp_path / "runs" / "scenes-bracket-0").rename(tmp_path / "runs" / f"scenes-{part_label('lid.stl')}-0")
+    assert call("--part", "lid.stl", "--steps", "1") == 2
+    assert "the unit of lid.stl is unclear" in capsys.readouterr().err
+    assert call("--part", "lid.stl", "--steps", "1", "--unit", "inch") == 0
+    part = load_part("lid.stl", unit="inch").model
+    assert find_weights(part).training == "own"
 
 
 def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
