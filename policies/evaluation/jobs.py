@@ -111,16 +111,19 @@ def ensure_folder_config(config: EvaluationConfig, out: Path) -> None:
     """Write the configuration into the folder, or compare it with the one that is there.
 
     Raises:
-        FolderError: The folder has another configuration; the message lists the differences.
+        FolderError: The folder has another configuration, or its bins were segmented by another network; the message
+            lists the differences.
     """
     path = out / CONFIG_FILE
-    given = {"hash": config.digest(), "config": asdict(config)}
+    network = config.weights()
+    given = {"hash": config.digest(), "config": asdict(config), "weights": network}
     if path.exists():
         try:
             stored = json.loads(path.read_text())
-            if stored["hash"] == given["hash"]:
+            different = _other_network(network, stored.get("weights"))
+            if stored["hash"] == given["hash"] and different is None:
                 return
-            different = _differences(json.loads(json_text(given["config"])), stored["config"])
+            different = different or _differences(json.loads(json_text(given["config"])), stored["config"])
         except (ValueError, KeyError, TypeError, AttributeError):
             _log.warning("%s is damaged and is written anew", path)
         else:
@@ -128,6 +131,14 @@ def ensure_folder_config(config: EvaluationConfig, out: Path) -> None:
                 f"{out} holds another evaluation ({different}); choose another folder with --out, or delete this one"
             )
     write_atomically(path, json_text(given))
+
+
+def _other_network(given: dict[str, str] | None, stored: dict[str, str] | None) -> str | None:
+    """Return how two networks differ; None if they do not, or if one is not known, as in folders of older versions."""
+    if given is None or stored is None or given["sha256"] == stored["sha256"]:
+        return None
+    there, here = (f"{each['name']} ({each['sha256'][:8]})" for each in (stored, given))
+    return f"weights: {there} there, {here} here"
 
 
 def _differences(given: dict[str, object], stored: dict[str, object]) -> str:
