@@ -1,6 +1,7 @@
 """Repair of meshes that are not closed: coincident vertices, internal faces, holes; and what it moved."""
 
 import logging
+from collections.abc import Iterator
 from pathlib import Path
 
 import manifold3d
@@ -11,7 +12,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from binpick_env.parts.mesh_edges import separated
 from perception.geometry import Floats
+from perception.winding import shells_of
 
 log = logging.getLogger(__name__)
 _MERGING = (1e-7, 1e-6, 1e-5, 1e-4)  # distances within which vertices are merged, one after the other [extent]
@@ -23,8 +26,8 @@ def closed(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
     """Return a closed mesh: the same one if it is closed already, or else a repaired copy.
 
     Vertices within growing distances are merged, at first equal ones and at last those within 0.01 % of the extent.
-    Faces that lie on each other are removed. Flat holes and small ones are closed. A line of the log says how far
-    vertices were moved and how wide the holes were.
+    Faces that lie on each other are removed, and bodies that touch in edges or faces are taken apart. Flat holes and
+    small ones are closed. A line of the log says how far vertices were moved and how wide the holes were.
 
     Args:
         mesh: Mesh as read.
@@ -36,18 +39,18 @@ def closed(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
     if mesh.is_watertight:
         return mesh
     extent = float(np.linalg.norm(mesh.extents))
-    repaired = _cleaned(mesh.copy())
+    original = _cleaned(mesh.copy())
     for tolerance in (0.0, *_MERGING):
-        merged, moved = _merged(repaired, tolerance * extent) if tolerance else (repaired, 0.0)
-        merged = _without_internal_faces(merged)
-        if merged.is_watertight:
-            if moved > 0:
-                log.warning("%s was not watertight; vertices were merged that lay up to %.3g apart", path, moved)
-            return merged
+        merged, moved = _merged(original, tolerance * extent) if tolerance else (original, 0.0)
+        for candidate in _readings(merged):
+            if candidate.is_watertight:
+                if moved > 0:
+                    log.warning("%s was not watertight; vertices were merged that lay up to %.3g apart", path, moved)
+                return candidate
     # Merging did not suffice: fill the holes of the mesh whose rounding errors are gone, and of the coarser one else.
     for tolerance in (0.0, *_MERGING):
-        merged, moved = _merged(repaired, tolerance * extent) if tolerance else (repaired, 0.0)
-        merged, widest, count = _filled(_without_internal_faces(merged), extent)
+        merged, moved = _merged(original, tolerance * extent) if tolerance else (original, 0.0)
+        merged, widest, count = _filled(_single_faced(merged), extent)
         if merged.is_watertight:
             log.warning(
                 "%s was not watertight; %d holes up to %.3g wide were closed, and vertices moved by up to %.3g",
@@ -57,6 +60,7 @@ def closed(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
                 moved,
             )
             return merged
+    repaired = _single_faced(original)
     counts = np.unique(repaired.edges_sorted, axis=0, return_counts=True)[1]
     lone, crowded = int(np.sum(counts == 1)), int(np.sum(counts > 2))
     raise ValueError(
@@ -68,9 +72,38 @@ def closed(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
 
 def _cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+    mesh.update_faces(mesh.nondegenerate_faces())
     mesh.remove_unreferenced_vertices()
     return mesh
+
+
+def _readings(mesh: trimesh.Trimesh) -> Iterator[trimesh.Trimesh]:
+    """Yield what faces that lie on each other, and edges that many faces share, may mean; the likeliest first."""
+    yield _single_faced(mesh)
+    touching = separated(_without_repeated_faces(mesh))
+    if len(shells_of(touching)) > 1:  # bodies that touch each other
+        yield touching
+    yield _without_internal_faces(mesh)
+    yield touching
+
+
+def _single_faced(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return the mesh with one face of those that have the same three vertices, whatever their winding."""
+    unique = mesh.unique_faces()
+    return mesh if unique.all() else _of_faces(mesh, unique)
+
+
+def _without_repeated_faces(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return the mesh with one face of those that have the same three vertices and the same winding."""
+    faces = np.asarray(mesh.faces)
+    turned = np.take_along_axis(faces, (np.argmin(faces, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    kept = np.zeros(len(faces), np.bool_)
+    kept[np.unique(turned, axis=0, return_index=True)[1]] = True
+    return mesh if kept.all() else _of_faces(mesh, kept)
+
+
+def _of_faces(mesh: trimesh.Trimesh, kept: NDArray[np.bool_]) -> trimesh.Trimesh:
+    return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)[kept], process=False)
 
 
 def _merged(mesh: trimesh.Trimesh, distance: float) -> tuple[trimesh.Trimesh, float]:
@@ -86,12 +119,12 @@ def _merged(mesh: trimesh.Trimesh, distance: float) -> tuple[trimesh.Trimesh, fl
 
 
 def _without_internal_faces(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Remove pairs of faces on the same three vertices with opposite winding: bodies that touch there become one."""
+    """Return the mesh without faces that have the same three vertices: bodies that touch there become one."""
     _, same, counts = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_inverse=True, return_counts=True)
     kept = counts[same.ravel()] == 1
     if kept.all() or not kept.any():
         return mesh
-    return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)[kept], process=False)
+    return _of_faces(mesh, kept)
 
 
 def _filled(mesh: trimesh.Trimesh, extent: float) -> tuple[trimesh.Trimesh, float, int]:
