@@ -2,14 +2,27 @@
 
 import pickle
 from collections.abc import Callable, Iterator, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
 
-def pickled_map(work: Callable[[int], Result], indices: Sequence[int], workers: int) -> Iterator[Result]:
-    """Yield the results of pickled copies of ``work``, the last index first."""
+def pickled_map(
+    work: Callable[[int], Result],
+    indices: Sequence[int],
+    workers: int,
+    initializer: Callable[..., None] | None = None,
+    initargs: tuple[Any, ...] = (),
+) -> Iterator[Result]:
+    """Yield pickled copies of the results of pickled copies of ``work``, or of its error, the last index first."""
     assert workers > 1
+    if initializer is not None:
+        start, arguments = pickle.loads(pickle.dumps((initializer, initargs)))
+        start(*arguments)
     for index in reversed(indices):
         copy: Callable[[int], Result] = pickle.loads(pickle.dumps(work))
-        yield copy(index)
+        try:
+            result: Result = copy(index)
+        except Exception as error:
+            raise pickle.loads(pickle.dumps(error)) from None
+        yield pickle.loads(pickle.dumps(result))

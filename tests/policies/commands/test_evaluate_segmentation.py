@@ -1,13 +1,18 @@
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from binpick_env.evaluation.segmentation import evaluation
+from binpick_env.evaluation.segmentation import ablation, evaluation
+from binpick_env.evaluation.segmentation.ablation import AblationConfig, trainings
+from binpick_env.evaluation.segmentation.ablation_summary import AblationTable
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.weights import save_network
 from policies.commands import evaluate_segmentation as evaluate
+from tests.binpick_env.evaluation.segmentation.tiny_trainings import tiny_trainings
 from tests.policies.commands.command_calls import run
 
 JUDGED = ["--min-parts", "2", "--max-parts", "3", "--width", "320", "--height", "240", "--seed", "7"]
@@ -44,7 +49,14 @@ def test_evaluate_segmentation_judges_resumes_and_refuses_another_method(tmp_pat
 
 
 @pytest.mark.slow
-def test_evaluate_segmentation_prints_the_ablation(tmp_path: Path) -> None:
+def test_evaluate_segmentation_prints_the_ablation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_table = ablation.run_ablation
+
+    def with_tiny_networks(config: AblationConfig, *arguments: Any) -> AblationTable:
+        assert config.trainings == trainings()
+        return make_table(replace(config, trainings=tiny_trainings()), *arguments)
+
+    monkeypatch.setattr(ablation, "run_ablation", with_tiny_networks)
     out = tmp_path / "ablation"
     for use, seed in (("training", "0"), ("validation", "1")):
         make = ["--part", "part_a", "--count", "1", "--seed", seed, "--out", str(out / use), *JUDGED[:-2]]

@@ -1,14 +1,16 @@
 import json
+import logging
 from pathlib import Path
 
 import pytest
 import trimesh
 
+from binpick_env.observation import pixel_perceiver
 from perception.segmentation import weights
 from policies.commands import pick
 from policies.evaluation import jobs
 from policies.evaluation.bin_evaluation import BinError
-from tests.policies.commands.command_calls import TINY, run, run_script
+from tests.policies.commands.command_calls import TINY, run
 
 
 def test_help_names_every_argument_of_the_contract() -> None:
@@ -74,10 +76,15 @@ def test_a_bin_that_fails_is_one_line_and_exit_code_2(
 
 
 @pytest.mark.slow
-def test_pick_runs_resumes_and_refuses_another_configuration(tmp_path: Path) -> None:
+def test_pick_runs_resumes_and_refuses_another_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """In test_main.py, a script shows its status."""
+    monkeypatch.setattr(pixel_perceiver, "_warmed_up", set())
     out, film = tmp_path / "run", tmp_path / "film.mp4"
     common = [*TINY, "--perception", "learned", "--out", str(out)]
-    done = run_script("pick", "--bins", "1", "--video", str(film), "--video-limit", "1", *common, cwd=tmp_path)
+    with caplog.at_level(logging.INFO):
+        done = run("pick", "--bins", "1", "--video", str(film), "--video-limit", "1", *common, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "GSR" in done.stdout
     for status in (
@@ -86,7 +93,7 @@ def test_pick_runs_resumes_and_refuses_another_configuration(tmp_path: Path) -> 
         "loading the kernels",
         "building the cell",
     ):
-        assert status in done.stderr
+        assert status in caplog.text
     assert film.stat().st_size > 1000
     assert "src='data:image/webp;base64," in (out / "report.html").read_text()
     assert (out / "bin_0000_pick_00.webp").stat().st_size < 40_000

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from policies.commands import pick
+from policies.evaluation import jobs
+from tests.binpick_env.jobs.pickled_map import pickled_map
 from tests.policies.commands.command_calls import TINY, run
 from tests.rerun_rows import rows_of
 
@@ -39,9 +41,11 @@ def test_without_the_extra_the_error_names_it(
 
 
 @pytest.mark.slow
-def test_the_worker_that_picks_the_first_bin_records_it(tmp_path: Path) -> None:
+def test_the_worker_that_picks_the_first_bin_records_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs, "map_indices", pickled_map)  # test_jobs.py starts processes
+    monkeypatch.setattr(jobs, "_cells", jobs._cells)  # which a worker's start replaces
     out, path = tmp_path / "out", tmp_path / "new" / "bin.rrd"
-    seen = ["--perception", "learned", "--min-parts", "2", "--max-parts", "2", "--no-html", "--out", str(out)]
+    seen = [*TINY, "--perception", "gt_masks", "--no-html", "--out", str(out)]
     assert run("pick", "--bins", "2", "--seed", "31", "--workers", "1", *seen, cwd=tmp_path).returncode == 0
     before = [json.loads((out / f"bin_000{k}.json").read_text())["picks"] for k in range(2)]
     made = [(out / f"bin_000{k}.json").stat().st_mtime_ns for k in range(2)]

@@ -1,19 +1,27 @@
 """`binpick s3dis` from synthetic rooms to the table."""
 
 import json
-import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from binpick_env.jobs import process_map
 from perception.s3dis.data import raw_tree
 from perception.s3dis.data.categories import SCORED
+from perception.s3dis.data.dataset import BlockBatches
 from perception.s3dis.data.room import room_path
+from perception.s3dis.evaluation import table
+from perception.s3dis.evaluation.identities import ground_truth
 from perception.s3dis.presets import ROWS
+from perception.segmentation.training import distributed
+from perception.segmentation.training.distributed import Place
 from perception.segmentation.weights import load_network, load_record
 from policies.commands import s3dis, s3dis_table
+from tests.binpick_env.jobs.pickled_map import pickled_map
 from tests.perception.s3dis.s3dis_tree import LINES, told_by_colour_room, write_tree
-from tests.policies.commands.command_calls import script, start
 
 
 def call(*arguments: object) -> int:
@@ -21,14 +29,18 @@ def call(*arguments: object) -> int:
 
 
 @pytest.mark.slow
-def test_synthesize_prepare_and_both_identities(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_synthesize_prepare_and_both_identities(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     raw, rooms = tmp_path / "raw", tmp_path / "rooms"
     made = ("synthesize", "--out", raw, "--rooms", 3, "--seed", 31, "--density", 150, "--workers", 1)
     assert call(*made) == 0
     assert call(*made) == 0
     assert f"3 rooms in {raw}" in capsys.readouterr().out
     prepared = ("prepare", "--raw", raw, "--out", rooms, "--workers", 2, "--json", tmp_path / "made.json")
-    assert call(*prepared) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(process_map, "map_indices", pickled_map)
+        assert call(*prepared) == 0
     first = json.loads((tmp_path / "made.json").read_text())
     assert (first["rooms"], first["new"], first["remarks"]) == (3, 3, [])
     assert call(*prepared) == 0
@@ -79,6 +91,8 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_tree(tmp_path / "broken", {"Area_1/office_1/wall_1": LINES, "Area_1/office_2/wall_1": LINES + "1 2 3\n"})
+    if "--workers" not in arguments:
+        monkeypatch.setattr(process_map, "map_indices", pickled_map)
     assert call(*arguments) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
     assert message in line
@@ -155,39 +169,62 @@ def test_train_and_evaluate_print_table_1_with_our_row(
     assert "last row: 2 rooms" in capsys.readouterr().out
 
 
-@pytest.mark.slow
-def test_the_table_trains_every_row_and_goes_on_with_more_seeds(
-    small_rooms: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_table_trains_every_row_and_is_not_mixed_with_another(
+    small_rooms: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The rows are truly trained by the page on rooms, whose lines tests/test_shell_lines.py runs."""
+    trained: list[tuple[str, int]] = []
+
+    class Truth:
+        @staticmethod
+        def from_file(_: Path) -> Any:
+            return lambda room, _: ground_truth(room)
+
+    monkeypatch.setattr(table, "train_row", lambda training: trained.append((training.row, training.points)))
+    monkeypatch.setattr(table, "RoomPredictor", Truth)
+    monkeypatch.setattr(process_map, "map_indices", pickled_map)
     out = tmp_path / "table"
 
     def make(*arguments: object) -> int:
         given = ["--rooms", small_rooms, "--out", out, "--points", 64, "--batch", 2, "--held-out", 1, *arguments]
         return s3dis_table.main([str(argument) for argument in given])
 
-    assert make("--steps", 1, "--seeds", 1, "--workers", 2, "--json", tmp_path / "t.json") == 0
-    text = capsys.readouterr().out
-    for row in ("SGPN (PointNet, colour)", *ROWS, "gain on sgpn-colour"):
-        assert row in text
-    first = json.loads((tmp_path / "t.json").read_text())
-    assert [row["row"] for row in first["rows"]] == list(ROWS)
-    before = {path: path.stat().st_mtime_ns for path in out.rglob("*.json")}
-    assert make("--steps", 1, "--seeds", 1, "--workers", 1, "--json", tmp_path / "t.json") == 0
-    assert json.loads((tmp_path / "t.json").read_text())["rows"] == first["rows"]
-    assert {path: path.stat().st_mtime_ns for path in out.rglob("*.json")} == before
-    capsys.readouterr()
+    for _ in range(2):
+        assert make("--steps", 1, "--seeds", 1, "--workers", 2, "--json", tmp_path / "t.json") == 0
+        text = capsys.readouterr().out
+        for row in ("SGPN (PointNet, colour)", *ROWS, "gain on sgpn-colour"):
+            assert row in text
+        assert [row["row"] for row in json.loads((tmp_path / "t.json").read_text())["rows"]] == list(ROWS)
+        assert sorted(trained) == sorted((row, 64) for row in ROWS)  # each once
     assert make("--steps", 2, "--seeds", 1) == 2
     assert "holds trainings of another configuration" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_two_processes_train_one_row_and_one_of_them_writes(small_rooms: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    command += [str(script("s3dis")), "train", "--rooms", str(small_rooms), "--row", "sgpn-colour"]
-    command += ["--budget", "small", "--steps", "2", "--batch", "2", "--points", "32", "--held-out", "1"]
-    done = start(command, tmp_path, OMP_NUM_THREADS="1")
-    assert done.returncode == 0, done.stderr
-    out = tmp_path / "runs" / "s3dis-sgpn-colour-small-0"
+def test_of_the_processes_that_train_a_row_the_first_writes(
+    small_rooms: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In test_train_segmentation.py, torchrun starts processes."""
+    ranks: list[int] = []
+    make = BlockBatches.of
+
+    def made(config: Any, rooms: Any, rank: int) -> BlockBatches:
+        ranks.append(rank)
+        return make(config, rooms, rank)
+
+    monkeypatch.setattr(BlockBatches, "of", made)
+    out = tmp_path / "out"
+    for rank, written in ((1, False), (0, True)):
+
+        @contextmanager
+        def processes(rank: int = rank) -> Iterator[Place]:
+            yield Place(rank=rank, world=2)
+
+        monkeypatch.setattr(distributed, "processes", processes)
+        train = ("train", "--rooms", small_rooms, "--row", "sgpn-colour", "--budget", "small", "--out", out)
+        assert call(*train, "--steps", 2, "--batch", 2, "--points", 32, "--held-out", 1, "--threads", 1) == 0
+        assert out.exists() == written
+    assert ranks == [1, 0]
     assert len((out / "log.jsonl").read_text().splitlines()) == 1
     assert load_record(out / "weights.safetensors")["steps"] == 2
     load_network(out / "weights.safetensors")

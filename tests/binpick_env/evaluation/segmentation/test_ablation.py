@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -10,33 +11,27 @@ import numpy as np
 import pytest
 
 from binpick_env.config import CameraConfig
-from binpick_env.evaluation.segmentation import ablation, ablation_summary, ablation_table
+from binpick_env.evaluation.segmentation import ablation, ablation_summary, ablation_table, evaluation
 from binpick_env.evaluation.segmentation.ablation import BUDGET, ROWS, AblationConfig, run_ablation, trainings
 from binpick_env.evaluation.segmentation.ablation_summary import METRICS, AblationTable, RowScores, tabulate
 from binpick_env.evaluation.segmentation.record import STAGES
 from binpick_env.evaluation.segmentation.summary import BANDS, SceneScore
 from binpick_env.scenes.clutter import ClutterStats
-from binpick_env.scenes.synthesis import SceneConfig
+from binpick_env.scenes.synthesis import SceneConfig, make_scene
 from perception.metrics.average_precision import ap_summary, weighted_ap
 from perception.metrics.matching import MATCHED_OVERLAPS, SceneMatches
 from perception.runtime.files import json_text
-from perception.segmentation.networks.grid_net import GridNetConfig
 from perception.segmentation.networks.sgpn import SgpnConfig
 from perception.segmentation.training.presets import PRESETS
+from tests.binpick_env.evaluation.segmentation.tiny_trainings import tiny_trainings
 
 SCENES = SceneConfig(part="part_a", seed=7, num_parts=(2, 3), camera=CameraConfig(width=320, height=240))
-POINT = SgpnConfig(trunk="pointnet", embedding=8, branch=8, global_width=16)
-GRAPH = SgpnConfig(trunk="dgcnn", embedding=8, branch=8, global_width=16, k=4)
-GRID = GridNetConfig(widths=(4, 4, 4, 4, 4), hidden=8, embedding=4)
 
 
 def tiny(**changes: Any) -> AblationConfig:
-    small = trainings(replace(BUDGET, batch=2, points=128))
-    networks = {"sgpn": POINT, "dgcnn": GRAPH, "focal": GRAPH, "ours": GRID}
-    cut = {name: replace(config, network=networks[name]) for name, config in small.items()}
     defaults: dict[str, Any] = {
         "scenes": SCENES, "count": 2, "training_seeds": 2, "steps": 2, "training_scenes": 2, "validation_scenes": 1,
-        "trainings": cut,
+        "trainings": tiny_trainings(),
     }  # fmt: skip
     return AblationConfig(**{**defaults, **changes})
 
@@ -209,7 +204,9 @@ def test_missing_scenes_or_parts_leave_no_folder(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, AblationTable, list[str]]:
     out, lines = tmp_path_factory.mktemp("ablation"), []
-    table = run_ablation(tiny(), out, report=lines.append)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluation, "make_scene", lru_cache(make_scene))  # which all rows are evaluated on
+        table = run_ablation(tiny(), out, report=lines.append)
     return out, table, lines
 
 
