@@ -225,6 +225,7 @@ TINY = {
             "--held-out": 1,
             "--batch": 1,
             "--threads": 1,
+            "--install": True,
         },
         check=check_train_segmentation,
     ),

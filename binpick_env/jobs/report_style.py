@@ -4,12 +4,21 @@ import base64
 from collections.abc import Sequence
 from html import escape
 
-CSS = """
+_COLOURS = """
 :root { color-scheme: light dark; --ink: #1d2330; --soft: #667085; --paper: #f6f7f9; --card: #ffffff; --line: #e3e7ee;
   --good: #1a8f5c; --bad: #d1453b; --idle: #b7791f; --accent: #2f5fd0; --track: #edf0f5; }
 @media (prefers-color-scheme: dark) { :root { --ink: #e6e9f0; --soft: #98a2b3; --paper: #12151c; --card: #1b202a;
   --line: #2c3340; --good: #3fbf85; --bad: #f0756c; --idle: #e0b04a; --accent: #86a8ff; --track: #262d39; } }
-* { box-sizing: border-box; } a { color: var(--accent); }
+"""
+_CURVES = """svg { display: block; width: 100%; max-width: 460px; } svg text { fill: var(--soft); font-size: 12px; }
+svg polyline { fill: none; stroke-width: 2; } svg .axis { stroke: var(--line); stroke-width: 1; }
+.line-0 { stroke: var(--accent); } .line-1 { stroke: var(--good); } .line-2 { stroke: var(--idle); }
+svg text.line-0 { fill: var(--accent); stroke: none; } svg text.line-1 { fill: var(--good); stroke: none; }
+svg text.line-2 { fill: var(--idle); stroke: none; }
+"""
+CSS = (
+    _COLOURS
+    + """* { box-sizing: border-box; } a { color: var(--accent); }
 body { margin: 0; background: var(--paper); color: var(--ink);
   font: 15px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
 main { max-width: 1120px; margin: 0 auto; padding: 32px 24px 64px; } main.wide { max-width: 1800px; }
@@ -40,12 +49,9 @@ figure { margin: 0; } figure img { width: 100%; display: block; border-radius: 8
 figcaption { font-size: 12.5px; margin-top: 5px; }
 .gallery { grid-template-columns: repeat(auto-fill, minmax(200px, 1fr)); }
 .four { grid-template-columns: repeat(auto-fit, minmax(260px, 1fr)); }
-svg { display: block; width: 100%; max-width: 460px; } svg text { fill: var(--soft); font-size: 12px; }
-svg polyline { fill: none; stroke-width: 2; } svg .axis { stroke: var(--line); stroke-width: 1; }
-.line-0 { stroke: var(--accent); } .line-1 { stroke: var(--good); } .line-2 { stroke: var(--idle); }
-svg text.line-0 { fill: var(--accent); stroke: none; } svg text.line-1 { fill: var(--good); stroke: none; }
-svg text.line-2 { fill: var(--idle); stroke: none; }
-.zoom { margin: 0; } .zoom summary { display: block; list-style: none; cursor: zoom-in; }
+"""
+    + _CURVES
+    + """.zoom { margin: 0; } .zoom summary { display: block; list-style: none; cursor: zoom-in; }
 .zoom summary::-webkit-details-marker { display: none; }
 .zoom[open] summary { position: fixed; inset: 0; z-index: 9; display: grid; place-items: center; cursor: zoom-out;
   background: rgb(0 0 0 / .86); }
@@ -57,6 +63,7 @@ details { margin-top: 10px; } summary { cursor: pointer; color: var(--accent); f
 h3 { font-size: 15px; margin: 16px 0 8px; } h3:first-child { margin-top: 0; }
 .bin h3 { margin: 0 0 8px; font-size: 15px; } .bin h3 span { color: var(--soft); font-weight: 400; }
 """
+)
 
 
 def page(title: str, body: str, wide: bool = False) -> str:
@@ -135,8 +142,18 @@ def inline_figure(data: bytes, kind: str, caption: str, alt: str = "") -> str:
     return figure(source, caption, alt or caption)
 
 
-def curves(lines: Sequence[tuple[str, Sequence[tuple[float, float]]]], across: str, up: str) -> str:
-    """Return an SVG plot of up to three named curves of (x, y) in [0, 1], with the names of both axes."""
+Curve = tuple[str, Sequence[tuple[float, float]]]  # name and points
+
+
+def curves(lines: Sequence[Curve], across: str, up: str, right: float = 1.0) -> str:
+    """Return an SVG plot of up to three named curves.
+
+    Args:
+        lines: Names of the curves, and their points (x, y) with x in [0, ``right``] and y in [0, 1].
+        across: Name of the horizontal axis.
+        up: Name of the vertical axis.
+        right: Right end of the horizontal axis.
+    """
     left, top, size = 44, 12, 340
 
     def at(x: float, y: float) -> str:
@@ -147,10 +164,10 @@ def curves(lines: Sequence[tuple[str, Sequence[tuple[float, float]]]], across: s
         for start, end in ((at(tick, 0), at(tick, 1)), (at(0, tick), at(1, tick))):
             drawn.append(f"<polyline class='axis' points='{start} {end}'/>")
         x, y = left + size * tick, top + size * (1 - tick)
-        drawn.append(f"<text x='{x:.0f}' y='{top + size + 17}' text-anchor='middle'>{tick:g}</text>")
+        drawn.append(f"<text x='{x:.0f}' y='{top + size + 17}' text-anchor='middle'>{tick * right:g}</text>")
         drawn.append(f"<text x='{left - 7}' y='{y + 4:.0f}' text-anchor='end'>{tick:g}</text>")
     for k, (name, points) in enumerate(lines):
-        drawn.append(f"<polyline class='line-{k}' points='{' '.join(at(*point) for point in points)}'/>")
+        drawn.append(f"<polyline class='line-{k}' points='{' '.join(at(x / right, y) for x, y in points)}'/>")
         drawn.append(f"<text class='line-{k}' x='{left + 10}' y='{top + size - 12 - 17 * k}'>{escape(name)}</text>")
     middle = left + size // 2
     drawn.append(f"<text x='{middle}' y='{top + size + 36}' text-anchor='middle'>{escape(across)}</text>")
@@ -159,3 +176,9 @@ def curves(lines: Sequence[tuple[str, Sequence[tuple[float, float]]]], across: s
     label = escape(f"{up} against {across}", quote=True)
     box = f"0 0 {left + size + 16} {top + size + 44}"
     return f"<svg role='img' aria-label='{label}' viewBox='{box}'>{''.join(drawn)}</svg>"
+
+
+def svg_file(plot: str) -> str:
+    """Return a plot of :func:`curves` as the text of an SVG file, with the colours of the reports."""
+    opening, rest = plot.split(">", 1)
+    return f"{opening} xmlns='http://www.w3.org/2000/svg'><style>{_COLOURS}{_CURVES}</style>{rest}\n"

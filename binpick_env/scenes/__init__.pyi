@@ -8,4 +8,7 @@ from .synthesis import SceneConfig as SceneConfig
 from .synthesis import generate_scenes as generate_scenes
 from .synthesis import make_scene as make_scene
 from .synthesis import scene_path as scene_path
+from .timed_synthesis import SceneBudget as SceneBudget
+from .timed_synthesis import fine_tuning_scenes as fine_tuning_scenes
+from .timed_synthesis import make_scenes as make_scenes
 from .whole_part import whole_part_points as whole_part_points

@@ -35,7 +35,7 @@ from perception.segmentation.surface import coarse_surface
 _log = logging.getLogger(__name__)
 MANY_PARTS = "generated"  # stands for parts of all training families, for the training of one network for every part
 SCENES_PER_PART = 4  # number of successive scenes of one part of `MANY_PARTS`
-FILLING = 0.4  # largest volume of the parts' hulls, as a share of the bin's, that is dropped into a bin of `MANY_PARTS`
+FILLING = 0.4  # largest volume of the parts' hulls, as a share of the bin's, that `with_room` drops into a bin
 # Newer fields and their defaults.
 _NEWER_FIELDS = {"symmetry": "detect", "density": None, "bin": None, "friction": None, "appearance": "clean"}
 # Share of scenes that each preset sees.
@@ -139,11 +139,15 @@ def _scene_setup(config: SceneConfig) -> _SceneSetup:
 @lru_cache(maxsize=1)
 def _of_many(config: SceneConfig, number: int) -> SceneConfig:
     """Return the configuration of the scenes of generated part ``number``."""
-    one = replace(config, part=training_parts(number + 1)[number])
+    return with_room(replace(config, part=training_parts(number + 1)[number]))
+
+
+def with_room(config: SceneConfig) -> SceneConfig:
+    """Return a configuration with at most as many parts as fit into the bin; see :data:`FILLING`."""
     low, high = config.num_parts
-    hull = one.options().load_part().model.mesh.convex_hull.volume
-    room = max(1, int(FILLING * np.prod(one.cell().bin.inner_size) / hull))
-    return replace(one, num_parts=(min(low, room), min(high, room)))
+    hull = config.options().load_part().model.mesh.convex_hull.volume
+    room = max(1, int(FILLING * np.prod(config.cell().bin.inner_size) / hull))
+    return replace(config, num_parts=(min(low, room), min(high, room)))
 
 
 def make_scene(config: SceneConfig, index: int) -> CapturedScene:

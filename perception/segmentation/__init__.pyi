@@ -9,6 +9,7 @@ from .surface import coarse_surface as coarse_surface
 from .weights import FoundWeights as FoundWeights
 from .weights import WeightsError as WeightsError
 from .weights import find_weights as find_weights
+from .weights import general_weights as general_weights
 from .weights import install_weights as install_weights
 from .weights import load_network as load_network
 from .weights import load_record as load_record

@@ -1,7 +1,7 @@
 """Files of trained networks: safetensors with a record of the training, which is also written as JSON beside them."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,9 @@ _log = logging.getLogger(__name__)
 SHIPPED = Path(__file__).resolve().parents[1] / "weights"
 SHARED = "shared"  # name of a network for several parts; the shipped one is for the catalogue
 GENERAL = "general"  # name of the network for every part
+GENERATIONS = 4  # number of networks, each the start of the next, that a record describes in any case
+# What a record tells of the networks before the one that the training started from.
+_KEPT = ("parts", "shapes", "families", "general", "steps", "minutes", "scenes", "validation", "git_commit")
 Network = GridNet | Sgpn
 _KINDS: dict[str, tuple[type[GridNetConfig] | type[SgpnConfig], type[GridNet] | type[Sgpn]]] = {
     "grid": (GridNetConfig, GridNet),
@@ -111,14 +114,48 @@ def training_of(record: dict[str, Any], part: PartModel) -> Training:
     matched by name. A generated part, whose name is ``generated:FAMILY:INDEX``, has a family besides.
     """
     known: Training = "zero-shot"
-    ancestor: dict[str, Any] | None = record
-    while ancestor is not None:
+    for ancestor in _lineage(record):
         if _knows(ancestor, part):
             return "own"
         if ":".join(part.name.split(":")[:2]) in ancestor.get("families", []):
             known = "family"
-        ancestor = ancestor.get("initial")
     return known
+
+
+def record_of_initial(record: dict[str, Any]) -> dict[str, Any]:
+    """Return the record of the network that a training starts from, in the form that the new record stores.
+
+    It is stored whole, and of the networks before it the main facts. Networks more than :data:`GENERATIONS` back are
+    left out unless they were trained on parts that no later one was trained on. The size of a record is therefore
+    limited by the number of different parts, not by the number of trainings.
+    """
+    kept: list[dict[str, Any]] = []
+    for ancestor in _lineage(record):
+        if len(kept) < GENERATIONS or _adds_parts(ancestor, kept):
+            kept.append({name: ancestor[name] for name in _KEPT if name in ancestor} if kept else ancestor)
+    stored: dict[str, Any] | None = None
+    for ancestor in reversed(kept):
+        stored = ancestor | {"initial": stored}
+    return stored or {}
+
+
+def _lineage(record: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a record, that of the network its training started from, and so on."""
+    ancestor: dict[str, Any] | None = record
+    while ancestor is not None:
+        yield ancestor
+        ancestor = ancestor.get("initial")
+
+
+def _adds_parts(record: dict[str, Any], others: Sequence[dict[str, Any]]) -> bool:
+    """Tell whether a network was trained on a part or a family that none of the others was trained on."""
+    if set(record.get("families", [])) - {family for other in others for family in other.get("families", [])}:
+        return True
+    if record.get("shapes") is None:
+        named = [other for other in others if other.get("shapes") is None]
+        return bool(set(record.get("parts", [])) - {name for other in named for name in other.get("parts", [])})
+    known = [shape for other in others for shape in (other.get("shapes") or {}).values()]
+    return any(not any(same_shape(shape, other) for other in known) for shape in record["shapes"].values())
 
 
 def find_weights(part: PartModel) -> FoundWeights:
@@ -132,20 +169,42 @@ def find_weights(part: PartModel) -> FoundWeights:
     Raises:
         WeightsError: There are neither weights of the part nor for every part.
     """
-    records = [(path, record) for folder in (user_folder(), SHIPPED) for path, record in _records(folder)]
-    general = [path for path, record in records if record.get("general")]
-    own = [(path, record) for path, record in records if path not in general and _knows(record, part)]
+    records = _all_records()
+    own = [(path, record) for path, record in records if not record.get("general") and _knows(record, part)]
     if own:
         path, _ = min(own, key=lambda found: len(found[1].get("parts", [])) > 1)
         return FoundWeights(path=path, training="own")
-    # Without a network for every part, one for several parts serves: it knows d_max and nothing else of a part.
-    general += [path for path, _ in records if path.stem == SHARED]
-    if not general:
+    general = _for_every_part(records)
+    if general is None:
         raise WeightsError(
             f"there are no segmentation weights for {part.name!r} and none for every part: make scenes with "
             f"binpick generate-scenes, and train with binpick train-segmentation, which installs in {user_folder()}"
         )
-    return FoundWeights(path=general[0], training=training_of(load_record(general[0]), part))
+    return FoundWeights(path=general, training=training_of(load_record(general), part))
+
+
+def general_weights() -> Path:
+    """Return the weights for every part, or those for several parts if there are none; the user's precede shipped ones.
+
+    A training on a single part starts from them.
+
+    Raises:
+        WeightsError: There are neither.
+    """
+    general = _for_every_part(_all_records())
+    if general is None:
+        raise WeightsError(
+            f"there are no segmentation weights for every part to start from, neither in {user_folder()} nor in "
+            f"{SHIPPED}: --initial none starts from random weights"
+        )
+    return general
+
+
+def _for_every_part(records: Sequence[tuple[Path, dict[str, Any]]]) -> Path | None:
+    general = [path for path, record in records if record.get("general")]
+    # Without a network for every part, one for several parts serves: it knows d_max and nothing else of a part.
+    general += [path for path, _ in records if path.stem == SHARED]
+    return general[0] if general else None
 
 
 def _knows(record: dict[str, Any], part: PartModel) -> bool:
@@ -155,6 +214,10 @@ def _knows(record: dict[str, Any], part: PartModel) -> bool:
         return part.name in record.get("parts", [])
     signature = shape_signature(part) if shapes else ()
     return any(same_shape(shape, signature) for shape in shapes.values())
+
+
+def _all_records() -> list[tuple[Path, dict[str, Any]]]:
+    return [found for folder in (user_folder(), SHIPPED) for found in _records(folder)]
 
 
 def _records(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from binpick_env.parts.label import part_label
 from binpick_env.parts.unit import Unit
@@ -12,15 +12,19 @@ from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
     from perception.segmentation.training.distributed import Place
-    from perception.segmentation.training.loop import Length
+    from perception.segmentation.training.loop import Length, Trainer
     from perception.segmentation.training.presets import TrainingConfig
-    from perception.segmentation.training.run import Log
+    from perception.segmentation.training.progress import TrainingDisplay
+    from perception.segmentation.training.run import Log, RunConfig
+
+PLOT = "ap.svg"  # file beside the log: average precision against minutes
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
     """Train a segmentation network on the scenes of one part, one network for several, or one for every part.
 
+    The training on one part starts from the network for every part and makes the scenes itself where there are none.
     The same command resumes where it was stopped. Under torchrun, several processes train together.
     """
 
@@ -34,17 +38,26 @@ class Arguments:
     held_out: int = 8  # number of scenes of each folder that are kept for validation where no folder is given
     # ours; paper: its text to the letter; released: as the code that the paper builds on
     preset: PresetName = "ours"
-    minutes: float | None = None  # length of the training [min]
+    minutes: float | None = None  # length of the training, with the making of scenes [min]
     steps: int | None = None  # length of the training in steps; the same seed and steps give the same weights
+    # number of scenes to make where one part has none; with --minutes as many as a third of them allows, up to 1000,
+    # and with --steps 200 unless given
+    count: int | None = None
+    workers: int = 2  # number of processes that make scenes, each on one core
     seed: int = 0  # seed of weights, samples and augmentation
-    initial: Path | None = None  # weights to start from, a .safetensors file; random ones unless given
+    # weights to start from, a .safetensors file; none: random ones. For one part those for every part unless given,
+    # else random ones
+    initial: Literal["none"] | Path | None = None
     batch: int | None = None  # number of scenes per step; the preset's unless given
-    learning_rate: float | None = None  # largest learning rate of the schedule; the preset's unless given
+    # largest learning rate of the schedule; the preset's unless given, or a lower one if one part starts from weights
+    learning_rate: float | None = None
     threads: int | None = None  # number of torch's threads; torch's choice unless given
     device: str | None = None  # device of torch, such as cpu or cuda:0; a GPU if there is one unless given
-    evaluate_every: float = 10.0  # training time between two evaluations [min]
+    # training time between two evaluations [min]; a sixth of the training, from 1 to 10, unless given
+    evaluate_every: float | None = None
     out: Path | None = None  # folder of checkpoint, log and weights; runs/segmentation-NAME-PRESET-SEED unless given
-    # copy the weights to where every command looks first; with preset ours unless said otherwise
+    # copy the weights to where every command looks first; with preset ours unless said otherwise, if their AP50 is at
+    # least 0.5 and their AP not below that of the weights they started from
     install: bool | None = None
     tensorboard: bool = True  # write TensorBoard's events into the folder
     json: Path | None = None  # JSON file for the last evaluation
@@ -59,13 +72,30 @@ class Arguments:
             return GENERAL
         return part_label(self.part[0]) if len(self.part) == 1 else SHARED
 
+    @property
+    def fine_tunes(self) -> bool:
+        """Whether the network for one part starts from trained weights."""
+        from binpick_env.scenes.synthesis import MANY_PARTS
+
+        one = len(self.part) == 1 and self.part != (MANY_PARTS,)
+        return one and self.preset == "ours" and self.initial != "none"
+
+    def start(self) -> Path | None:
+        """Return the weights that the training starts from, or None for random ones."""
+        from perception.segmentation.weights import general_weights
+
+        if self.initial is None:
+            return general_weights() if self.fine_tunes else None
+        return None if self.initial == "none" else self.initial
+
     def config(self) -> "TrainingConfig":
         """Return how to train."""
-        from perception.segmentation.training.presets import PRESETS
+        from perception.segmentation.training.presets import PRESETS, fine_tuning
 
         given = {"batch": self.batch, "learning_rate": self.learning_rate}
         chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        return replace(PRESETS[self.preset], seed=self.seed, **chosen)
+        preset = PRESETS[self.preset]
+        return replace(fine_tuning(preset) if self.fine_tunes else preset, seed=self.seed, **chosen)
 
     def folder(self) -> Path:
         """Return where the training is kept."""
@@ -75,17 +105,32 @@ class Arguments:
         """Return the scene files to train and to validate on."""
         from perception.segmentation.training.dataset import split_scenes
 
-        folders = self.scenes or tuple(Path("runs") / f"scenes-{part_label(part)}-0" for part in self.part)
+        folders = self.scenes or tuple(default_scenes(part) for part in self.part)
         return split_scenes(folders, self.validation, self.held_out)
 
-    def length(self, config: "TrainingConfig", scenes: int, world: int = 1) -> "Length":
-        """Return how long to train: the paper's 200 epochs for its presets where nothing is said."""
+    def length(self, config: "TrainingConfig", scenes: int, world: int = 1, scene_minutes: float = 0.0) -> "Length":
+        """Return how long to train: the paper's 200 epochs for its presets where nothing is said.
+
+        Args:
+            config: Settings of the training.
+            scenes: Number of scenes to train on.
+            world: Number of processes that train together.
+            scene_minutes: Time that the making of the scenes took [min]. At least half of the minutes remain.
+        """
         from perception.segmentation.training.loop import Length
         from perception.segmentation.training.presets import EPOCHS
 
         if self.minutes is None and self.steps is None and self.preset != "ours":
             return Length(steps=EPOCHS * scenes // (config.batch * world))
-        return Length(steps=self.steps, minutes=self.minutes)
+        minutes = None if self.minutes is None else max(self.minutes - scene_minutes, self.minutes / 2)
+        return Length(steps=self.steps, minutes=minutes)
+
+    def interval(self, length: "Length") -> float:
+        """Return the time between two evaluations [min]."""
+        if self.evaluate_every is not None:
+            return self.evaluate_every
+        minutes = (length.steps or 0) / 60 if length.minutes is None else length.minutes  # a step takes about 1 s
+        return min(max(minutes / 6, 1.0), 10.0)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -93,26 +138,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run(parse(Arguments, "train-segmentation", arguments))
 
 
+def default_scenes(part: str) -> Path:
+    """Return the folder of the scenes of a part where none is given."""
+    return Path("runs") / f"scenes-{part_label(part)}-0"
+
+
 def run(args: Arguments) -> int:
     """Train; return the exit code."""
+    from binpick_env.cell.settle import SettleError
+    from binpick_env.jobs.process_map import WorkerError
     from perception.segmentation.training.loop import TrainingError
 
     stopped = f"stopped; the same command resumes from {args.folder()}"
-    return exit_code(lambda: _train(args), (ValueError, OSError, TrainingError), stopped)
+    return exit_code(lambda: _train(args), (ValueError, OSError, TrainingError, SettleError, WorkerError), stopped)
 
 
 def _train(args: Arguments) -> str | None:
     import torch
 
     from perception.segmentation.training.distributed import processes
+    from policies.commands.training_scenes import scenes_of_training
 
     if args.threads is not None:
         torch.set_num_threads(args.threads)
     with processes() as place:
-        return _train_at(args, place)
+        args.length(args.config(), 1)  # nonsense is refused before scenes are made
+        making = scenes_of_training(args, place)
+        return _train_at(args, place, making.seconds / 60)
 
 
-def _train_at(args: Arguments, place: "Place") -> str | None:
+def _train_at(args: Arguments, place: "Place", scene_minutes: float) -> str | None:
     import torch
     from tqdm import tqdm
 
@@ -125,20 +180,44 @@ def _train_at(args: Arguments, place: "Place") -> str | None:
     training, validation = args.files()
     with tqdm(total=len(training), desc="reading", unit="scene", disable=not leader) as bar:
         scenes = load_packed(training, bar.update)
-    batches = BatchMaker.of(config, scenes, place.rank)
+    length = args.length(config, len(scenes), place.world, scene_minutes)
     device = args.device or (f"cuda:{place.local_rank}" if torch.cuda.is_available() else "cpu")
-    trainer = Trainer(config, batches, args.length(config, len(scenes), place.world), device)
-    names = tuple(part_label(part) for part in args.part)
+    trainer = Trainer(config, BatchMaker.of(config, scenes, place.rank), length, device)
     uses = {"trained_on": scene_sources(training), "validated_on": scene_sources(validation)}
-    sources = {**_known_shapes(args.part, args.unit), **uses}
     run = RunConfig(
-        sources=sources, out=out, parts=names, initial=args.initial, evaluate_every=args.evaluate_every, leader=leader
+        sources={**_known_shapes(args.part, args.unit), **uses},
+        out=out,
+        parts=tuple(part_label(part) for part in args.part),
+        initial=args.start(),
+        evaluate_every=args.interval(length),
+        scene_minutes=scene_minutes,
+        leader=leader,
     )
-    if resume(trainer, run) and leader:
-        print(f"resuming at step {trainer.step}, {trainer.elapsed / 60:.1f} minutes")
+    resumed = resume(trainer, run)
+    if leader:
+        print(_beginning(trainer, run, resumed))
     with TrainingDisplay(out, args.tensorboard, leader) as display:
-        last = train(trainer, validation, run, display.on_step, display.on_line)
+        last = train(trainer, validation, run, display.on_step, lambda line: _show(line, out, display))
     return _deliver(args, out, last) if leader else None
+
+
+def _beginning(trainer: "Trainer", run: "RunConfig", resumed: bool) -> str:
+    """Return what the training starts from."""
+    if resumed:
+        return f"resuming at step {trainer.step}, {trainer.elapsed / 60:.1f} minutes"
+    return f"starting from {'random weights' if run.initial is None else run.initial}"
+
+
+def _show(line: "Log", out: Path, display: "TrainingDisplay") -> None:
+    """Show an evaluation, and plot it with the previous ones."""
+    from binpick_env.evaluation.segmentation.training_plot import ap_plot
+    from perception.runtime.files import write_atomically
+    from perception.segmentation.training.run import LOG, read_log
+
+    display.on_line(line)
+    plot = ap_plot(read_log(out / LOG))
+    if plot is not None:
+        write_atomically(out / PLOT, plot)
 
 
 def _known_shapes(parts: tuple[str, ...], unit: Unit | None) -> dict[str, Any]:
@@ -161,14 +240,24 @@ def _known_shapes(parts: tuple[str, ...], unit: Unit | None) -> dict[str, Any]:
 
 
 def _deliver(args: Arguments, out: Path, last: "Log") -> str:
+    """Install the weights unless there is an objection; return the lines to print at the end."""
     from perception.runtime.files import json_text, write_atomically
-    from perception.segmentation.training.run import LOG, WEIGHTS
+    from perception.segmentation.training.acceptance import objection, scores
+    from perception.segmentation.training.run import LOG, WEIGHTS, read_log
     from perception.segmentation.weights import install_weights
 
+    first = next((line for line in read_log(out / LOG) if line["step"] == 0), {})
     lines = [f"weights   {out / WEIGHTS}", f"log       {out / LOG}"]
-    if args.preset == "ours" if args.install is None else args.install:
+    if scores(last):
+        lines += [f"plot      {out / PLOT}", f"validated {scores(last)}"]
+    if scores(first):
+        lines.append(f"at first  {scores(first)}")
+    against = objection(last, first)
+    if args.install or (args.install is None and args.preset == "ours" and against is None):
         path = install_weights(out / WEIGHTS, args.name)
         lines.append(f"installed {path} (delete it to return to the shipped weights)")
+    elif args.install is None and args.preset == "ours":
+        lines.append(f"not installed: {against}; the same command with --install True installs it all the same")
     if args.json is not None:
         write_atomically(args.json, json_text(last))
     return "\n".join(lines)

@@ -22,3 +22,4 @@ from .summary import load_scores as load_scores
 from .summary import save_summary as save_summary
 from .summary import summarise as summarise
 from .table import segmentation_table as segmentation_table
+from .training_plot import ap_plot as ap_plot

@@ -1,3 +1,4 @@
+from .acceptance import objection as objection
 from .augment import AugmentConfig as AugmentConfig
 from .checkpoint import CheckpointError as CheckpointError
 from .checkpoint import load_checkpoint as load_checkpoint
@@ -21,7 +22,9 @@ from .losses import offset_loss as offset_loss
 from .losses import pair_loss as pair_loss
 from .losses import semantic_loss as semantic_loss
 from .presets import TrainingConfig as TrainingConfig
+from .presets import fine_tuning as fine_tuning
 from .run import RunConfig as RunConfig
+from .run import read_log as read_log
 from .run import resume as resume
 from .run import train as train
 from .run import validate as validate

@@ -1,6 +1,6 @@
 """Settings of a training, and presets: the paper's text, SGPN's released code, and ours."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from perception.segmentation.networks.grid_net import GridNetConfig
@@ -94,3 +94,12 @@ PRESETS: dict[PresetName, TrainingConfig] = {
     ),
 }
 EPOCHS = 200  # number of epochs in the paper
+
+
+def fine_tuning(config: TrainingConfig) -> TrainingConfig:
+    """Return the settings with which a trained network is trained further on a single part.
+
+    The learning rate is lower and its warm-up shorter. The averaged weights need no change: their memory grows with
+    the training, see :class:`.loop.Trainer`.
+    """
+    return replace(config, learning_rate=min(config.learning_rate, 5e-4), warmup=min(config.warmup, 30))

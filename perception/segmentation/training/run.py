@@ -18,7 +18,7 @@ from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.scoring import score_scene
 from perception.segmentation.training.checkpoint import load_checkpoint, save_checkpoint
 from perception.segmentation.training.loop import StepRecord, Trainer
-from perception.segmentation.weights import Network, load_network, load_record, save_network
+from perception.segmentation.weights import Network, load_network, load_record, record_of_initial, save_network
 
 CHECKPOINT = "checkpoint.safetensors"
 LOG = "log.jsonl"
@@ -35,6 +35,7 @@ class RunConfig:
         initial: Weights that the training starts from; None for random ones.
         evaluate_every: Time of training between evaluations [min].
         save_every: Time of training between checkpoints [min].
+        scene_minutes: Time that was spent on making the scenes before the training [min]; the log names it.
         leader: Whether this process writes files; of several processes that train together, one does.
         sources: Description of the scenes for the record, as :func:`.dataset.scene_sources` returns it, and anything
             else to record.
@@ -45,6 +46,7 @@ class RunConfig:
     initial: Path | None = None
     evaluate_every: float = 10.0
     save_every: float = 2.0
+    scene_minutes: float = 0.0
     leader: bool = True
     sources: dict[str, Any] = field(default_factory=dict)
 
@@ -54,6 +56,8 @@ class RunConfig:
         for name in ("evaluate_every", "save_every"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if not self.scene_minutes >= 0:
+            raise ValueError(f"scene_minutes must not be negative, got {self.scene_minutes}")
 
 
 Log = dict[str, Any]
@@ -89,6 +93,9 @@ def train(
 ) -> Log:
     """Train to the end and write the weights.
 
+    A new training begins a new log. Its first line, of step 0, is the evaluation of the initial weights, if there are
+    initial weights and something to validate on.
+
     Args:
         trainer: New or resumed training.
         validation: Scene files that are not trained on, or a function that scores a network. Without files there is no
@@ -107,6 +114,10 @@ def train(
     git_commit()  # cached now, so that commits made during the training do not change it
     saved = evaluated = trainer.elapsed
     losses: list[dict[str, float]] = []
+    if trainer.step == 0 and config.leader:
+        (config.out / LOG).unlink(missing_ok=True)
+        if config.initial is not None and validation:
+            _log_line(trainer, validation, config, [], on_evaluation)
     try:
         for record in trainer.run():
             if not record.skipped:
@@ -140,14 +151,27 @@ def training_record(trainer: Trainer, config: RunConfig, last: Log) -> Log:
         "steps": trainer.step,
         "minutes": trainer.elapsed / 60,
         "scenes": len(trainer.batches.scenes),
+        **({"scene_minutes": config.scene_minutes} if config.scene_minutes else {}),
         **config.sources,
         "epochs": trainer.epoch,
-        "initial": None if config.initial is None else load_record(config.initial),
+        "initial": None if config.initial is None else record_of_initial(load_record(config.initial)),
         "validation": last.get("validation"),
         "git_commit": git_commit(),
         "command": command_line(),
         "versions": versions(),
     }
+
+
+def read_log(path: Path) -> list[Log]:
+    """Return the lines of a log, the last one of each step, in order; lines that were cut off are left out."""
+    lines: dict[int, Log] = {}
+    for text in path.read_text().splitlines() if path.exists() else ():
+        try:
+            line = json.loads(text)
+        except ValueError:
+            continue
+        lines[line["step"]] = line
+    return [lines[step] for step in sorted(lines)]
 
 
 def validate(network: Network, paths: Sequence[Path], distance: str = "l2") -> dict[str, float]:
@@ -185,6 +209,8 @@ def _log_line(
 ) -> Log:
     means = {name: float(np.mean([loss[name] for loss in losses])) for name in (losses[0] if losses else ())}
     line: Log = {"step": trainer.step, "minutes": trainer.elapsed / 60, "losses": means}
+    if config.scene_minutes:
+        line["scene_minutes"] = config.scene_minutes
     if callable(validation):
         line["validation"] = validation(trainer.best_network())
     elif validation:

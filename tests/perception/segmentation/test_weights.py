@@ -21,10 +21,13 @@ from perception.segmentation.weights import (
     FoundWeights,
     WeightsError,
     find_weights,
+    general_weights,
     install_weights,
     load_network,
     load_record,
+    record_of_initial,
     save_network,
+    training_of,
 )
 from perception.shape import shape_signature
 
@@ -194,3 +197,37 @@ def test_weights_for_the_catalogue_are_shipped(part: str) -> None:
     assert {"training", "steps", "minutes", "scenes", "validation", "git_commit"} <= record.keys()
     assert json.loads(path.with_suffix(".json").read_text()) == record
     load_network(path)
+
+
+def test_a_training_on_one_part_starts_from_the_network_for_every_part(folders: tuple[Path, Path]) -> None:
+    own, shipped = folders
+    with pytest.raises(WeightsError, match=r"for every part to start from, neither in .*--initial none starts from"):
+        general_weights()
+    save_network(own / "nut.safetensors", NETWORKS[0], trained(NUT))
+    save_network(shipped / "shared.safetensors", NETWORKS[0], trained(BOLT))
+    assert general_weights() == shipped / "shared.safetensors"
+    save_network(shipped / "general.safetensors", NETWORKS[0], {"general": True, "shapes": {}})
+    assert general_weights() == shipped / "general.safetensors"
+    save_network(own / "general.safetensors", NETWORKS[0], {"general": True, "shapes": {}})
+    assert general_weights() == own / "general.safetensors"
+
+
+def test_a_record_does_not_grow_with_the_number_of_trainings_and_forgets_no_part() -> None:
+    first = trained(box("lid", 0.05, 0.05, 0.004), families=["generated:clevis"], steps=0, command="train")
+    record, sizes = first | {"log": []}, []
+    for step in range(1, 60):
+        record = trained((NUT, BOLT)[step % 2], steps=step, command="train", initial=record_of_initial(record))
+        sizes.append(len(json.dumps(record)))
+    assert sizes[20] == sizes[-1] or max(sizes[20:]) - min(sizes[20:]) < 20  # numbers of more digits
+    assert record["initial"]["command"] == "train"
+    assert "command" not in record["initial"]["initial"]
+    assert [training_of(record, part) for part in (NUT, BOLT, box("cover", 0.05, 0.05, 0.004))] == ["own"] * 3
+    assert training_of(record, box("generated:clevis:1", 0.02, 0.02, 0.03)) == "family"
+    assert training_of(record, box("washer", 0.02, 0.02, 0.002)) == "zero-shot"
+
+
+def test_parts_of_records_without_shapes_are_kept_by_name() -> None:
+    record: dict[str, object] = {"parts": ["nut"]}
+    for step in range(10):
+        record = {"parts": ["bolt"], "steps": step, "initial": record_of_initial(record)}
+    assert (training_of(record, NUT), training_of(record, BOLT)) == ("own", "own")

@@ -8,14 +8,22 @@ from pathlib import Path
 import pytest
 import torch
 import trimesh
+from safetensors.torch import load
 
 from binpick_env.parts.families import HELD_OUT_FAMILIES, TRAINING_FAMILIES
 from binpick_env.parts.label import part_label
 from binpick_env.parts.part import load_part
+from binpick_env.scenes import timed_synthesis
+from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config, scene_path
 from perception.segmentation.scene import SCENES_NOTE
-from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS
-from perception.segmentation.weights import FoundWeights, find_weights, load_network, load_record
+from perception.segmentation.training import run as run_module
+from perception.segmentation.training.loop import Length
+from perception.segmentation.training.presets import PRESETS, fine_tuning
+from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS, read_log
+from perception.segmentation.weights import SHIPPED, FoundWeights, find_weights, load_network, load_record
 from policies.commands import train_segmentation as train
+from policies.commands.train_segmentation import PLOT
+from policies.commands.training_scenes import scene_budget
 from tests.perception.disc_scene import disc_scene
 from tests.policies.commands.command_calls import script, start
 
@@ -42,7 +50,7 @@ def call(*arguments: str) -> int:
 def test_one_network_for_two_parts_is_trained_installed_and_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call("--part", "bracket", "tee", "--steps", "2", "--json", "last.json") == 0
+    assert call("--part", "bracket", "tee", "--steps", "2", "--json", "last.json", "--install", "True") == 0
     out = tmp_path / "runs" / "segmentation-shared-ours-0"
     assert {CHECKPOINT, LOG, WEIGHTS} <= {path.name for path in out.iterdir()}
     assert (
@@ -55,14 +63,14 @@ def test_one_network_for_two_parts_is_trained_installed_and_found(
     assert [source["scenes"] for source in record["trained_on"]] == [2, 2]
     assert [source["seed"] for source in record["validated_on"]] == [3, 3]
     assert json.loads((tmp_path / "last.json").read_text())["validation"].keys() >= {"ap50", "ap75"}
-    assert "installed" in capsys.readouterr().out
+    assert f"installed {tmp_path / 'cache' / 'weights' / 'shared.safetensors'} " in capsys.readouterr().out
     assert call("--part", "bracket", "tee", "--steps", "2") == 0  # nothing is left to do
     assert "resuming at step 2" in capsys.readouterr().out
 
 
 def test_the_network_for_every_part_knows_its_families_and_serves_parts_without_their_own(tmp_path: Path) -> None:
     (tmp_path / "runs" / "scenes-bracket-0").rename(tmp_path / "runs" / "scenes-generated-0")
-    assert call("--part", "generated", "--steps", "1") == 0
+    assert call("--part", "generated", "--steps", "1", "--install", "True") == 0
     installed = tmp_path / "cache" / "weights" / "general.safetensors"
     trained, held_out = (load_part(f"generated:{names[0]}:0").model for names in (TRAINING_FAMILIES, HELD_OUT_FAMILIES))
     assert find_weights(trained) == FoundWeights(path=installed, training="family")
@@ -77,7 +85,7 @@ def test_the_unit_of_a_part_file_is_taken(tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "runs" / "scenes-bracket-0").rename(tmp_path / "runs" / f"scenes-{part_label('lid.stl')}-0")
     assert call("--part", "lid.stl", "--steps", "1") == 2
     assert "the unit of lid.stl is unclear" in capsys.readouterr().err
-    assert call("--part", "lid.stl", "--steps", "1", "--unit", "inch") == 0
+    assert call("--part", "lid.stl", "--steps", "1", "--unit", "inch", "--install", "True") == 0
     part = load_part("lid.stl", unit="inch").model
     assert find_weights(part).training == "own"
 
@@ -93,7 +101,10 @@ def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
     ("arguments", "message"),
     [
         (["--part", "bracket"], "give either steps or minutes"),
-        (["--part", "screw", "--steps", "1"], "runs/scenes-screw-0 holds no scene_*.npz"),
+        (["--part", "tee", "screw", "--steps", "1"], "runs/scenes-screw-0 holds no scene_*.npz"),
+        (["--part", "screw", "--steps", "1"], "screw"),
+        (["--part", "tee", "--steps", "1", "--count", "4"], "runs/scenes-tee-0 holds too few scenes"),
+        (["--part", "part_a", "--steps", "1", "--count", "0"], "count must be at least 1, got 0"),
         (
             ["--part", "bracket", "--steps", "1", "--initial", "nowhere.safetensors"],
             "nowhere.safetensors does not hold a complete",
@@ -109,6 +120,129 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(
     assert message in line
 
 
+@pytest.fixture
+def drawn_scenes(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Replace the synthesis by scenes of discs; return the numbers of scenes that were asked for."""
+    asked: list[int] = []
+
+    def generate(config: SceneConfig, count: int, folder: Path, workers: int) -> Iterator[int]:
+        asked.append(count)
+        ensure_folder_config(config, folder)
+        for index in range(count):
+            disc_scene(index, points_each=40).save(scene_path(folder, index))
+            yield index
+
+    monkeypatch.setattr(timed_synthesis, "generate_scenes", generate)
+    return asked
+
+
+@pytest.fixture
+def judged(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
+    """Return a list of average precisions, which the next evaluations find."""
+    found: list[float] = []
+    monkeypatch.setattr(run_module, "validate", lambda *_: dict.fromkeys(("ap", "ap50", "ap75"), found.pop(0)))
+    yield found
+    assert found == []  # there were as many evaluations
+
+
+def test_one_part_makes_its_scenes_and_starts_from_the_network_for_every_part(
+    tmp_path: Path, drawn_scenes: list[int], judged: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    judged += [0.6, 0.7]
+    assert call("--part", "part_a", "--steps", "1", "--count", "4") == 0
+    shown = capsys.readouterr().out
+    assert "making scenes in runs/scenes-part_a-0, 4 of them" in shown
+    assert f"starting from {SHIPPED / 'shared.safetensors'}" in shown
+    assert "validated AP50 0.700, AP75 0.700, AP 0.700\nat first  AP50 0.600" in shown
+    out = tmp_path / "runs" / "segmentation-part_a-ours-0"
+    assert [line["step"] for line in read_log(out / LOG)] == [0, 1]
+    assert "AP50 0.700" in (out / PLOT).read_text()
+    record = load_record(out / WEIGHTS)
+    assert (record["scenes"], record["trained_on"][0]["sensor"]) == (3, "all")
+    assert record["training"]["learning_rate"] == fine_tuning(PRESETS["ours"]).learning_rate
+    assert record["initial"]["parts"] == load_record(SHIPPED / "shared.safetensors")["parts"]
+    assert record["scene_minutes"] > 0
+    assert find_weights(load_part("part_a").model).path == tmp_path / "cache" / "weights" / "part_a.safetensors"
+    first = (out / CHECKPOINT).read_bytes()
+    judged += [0.7, 0.6, 0.7]
+    assert call("--part", "part_a", "--steps", "1", "--count", "4") == 0  # nothing is left to do
+    assert call("--part", "part_a", "--steps", "1", "--count", "4", "--out", "again") == 0
+    assert drawn_scenes == [4]
+    assert_same_tensors(first, Path("again", CHECKPOINT).read_bytes())
+
+
+def assert_same_tensors(first: bytes, second: bytes) -> None:
+    """Fail unless two checkpoints have the same tensors, whatever time they took."""
+    one, other = load(first), load(second)
+    assert one.keys() == other.keys()
+    assert [name for name in one if not torch.equal(one[name], other[name])] == []
+
+
+def test_minutes_count_scenes_and_training_together(
+    drawn_scenes: list[int], judged: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    judged += [0.6, 0.7]
+    assert call("--part", "part_a", "--minutes", "0.001") == 0
+    assert "0.0 of the 0.001 minutes, but 2 to 1000 of them" in capsys.readouterr().out
+    assert drawn_scenes == [1000]
+    assert len(list(Path("runs/scenes-part_a-0").glob("scene_*.npz"))) == 2
+    args = train.Arguments(part=("part_a",), minutes=9.0)
+    assert scene_budget(args).seconds == 3 * 60
+    assert args.length(args.config(), 1, scene_minutes=3.1).minutes == pytest.approx(5.9)
+    assert args.length(args.config(), 1, scene_minutes=8.0).minutes == 4.5
+    assert args.length(args.config(), 1).minutes == 9.0
+
+
+def test_evaluations_are_a_sixth_of_the_training_apart_from_one_to_ten_minutes() -> None:
+    for length, expected in (
+        (Length(minutes=9.0), 1.5),
+        (Length(minutes=2.0), 1.0),
+        (Length(minutes=600.0), 10.0),
+        (Length(steps=1200), 1200 / 60 / 6),
+        (Length(steps=2), 1.0),
+    ):
+        assert train.Arguments(minutes=1.0).interval(length) == pytest.approx(expected)
+    assert train.Arguments(evaluate_every=0.5).interval(Length(minutes=9.0)) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("found", "install", "text"),
+    [
+        ([0.3, 0.49], None, "not installed: its AP50 on the validation scenes, 0.490, is under 0.5"),
+        ([0.3, 0.49], "True", "installed"),
+        ([0.8, 0.7], None, "not installed: its AP on the validation scenes, 0.700, is under the 0.800"),
+        ([0.8, 0.8], None, "installed"),
+        ([0.8, 0.9], "False", None),
+    ],
+)
+def test_poor_networks_are_installed_only_where_that_is_asked_for(
+    found: list[float],
+    install: str | None,
+    text: str | None,
+    judged: list[float],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    judged += found
+    options = [] if install is None else ["--install", install]
+    assert call("--part", "bracket", "--steps", "1", *options) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith(text or "at first  AP50 0.800")
+    if text is not None and text.startswith("not"):
+        assert last.endswith("the same command with --install True installs it all the same")
+    assert (tmp_path / "cache" / "weights" / "bracket.safetensors").exists() == (text == "installed")
+
+
+def test_random_weights_are_taken_where_that_is_asked_for(
+    judged: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    judged += [0.6]  # the random weights are not evaluated
+    assert call("--part", "bracket", "--steps", "1", "--initial", "none") == 0
+    assert "starting from random weights" in capsys.readouterr().out
+    record = load_record(find_weights(load_part("bracket").model).path)
+    assert (record["initial"], record["training"]["learning_rate"]) == (None, PRESETS["ours"].learning_rate)
+
+
 @pytest.mark.slow
 def test_two_processes_train_one_network_and_one_of_them_writes(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
@@ -116,7 +250,7 @@ def test_two_processes_train_one_network_and_one_of_them_writes(tmp_path: Path) 
     done = start([*command, "--held-out", "1", "--no-tensorboard"], tmp_path, OMP_NUM_THREADS="1")
     assert done.returncode == 0, done.stderr
     out = tmp_path / "runs" / "segmentation-bracket-ours-0"
-    assert len((out / LOG).read_text().splitlines()) == 1
+    assert [line["step"] for line in read_log(out / LOG)] == [0, 2]
     assert load_record(out / WEIGHTS)["steps"] == 2
     assert load_record(out / WEIGHTS)["epochs"] == 2 * 1 * 2 / 2  # steps x batch x processes / scenes
     load_network(out / WEIGHTS)

@@ -17,9 +17,9 @@ from perception.segmentation.training import run as run_module
 from perception.segmentation.training.checkpoint import FORMAT, CheckpointError, load_checkpoint, save_checkpoint
 from perception.segmentation.training.dataset import Batch, BatchMaker, PackedScene
 from perception.segmentation.training.loop import SKIPS, Length, StepRecord, Trainer, TrainingError, learning_rate
-from perception.segmentation.training.presets import PRESETS, TrainingConfig
-from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS, RunConfig, resume, train, validate
-from perception.segmentation.weights import load_network, load_record
+from perception.segmentation.training.presets import PRESETS, TrainingConfig, fine_tuning
+from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS, RunConfig, read_log, resume, train, validate
+from perception.segmentation.weights import Network, load_network, load_record, save_network
 from tests.perception.disc_scene import disc_scene
 
 SCENES = [PackedScene.pack(disc_scene(seed)) for seed in range(2)]
@@ -217,12 +217,54 @@ def test_a_training_may_start_from_the_weights_of_another(tmp_path: Path) -> Non
     second = trainer(GRID, steps=1)
     assert not resume(second, config)
     assert_same(weights(first), weights(second))
-    train(second, [], config)
+    train(second, lambda network: {"ap": 0.5}, config)
     assert load_record(config.out / WEIGHTS)["initial"]["steps"] == 2
+    assert [line["step"] for line in read_log(config.out / LOG)] == [0, 1]
     with pytest.raises(
         TrainingError, match=r"the initial weights are of GridNetConfig.*this training is of SgpnConfig"
     ):
         resume(trainer(CLOUD), replace(config, out=tmp_path / "third"))
+
+
+def test_the_initial_weights_are_evaluated_first_and_a_new_training_begins_a_new_log(tmp_path: Path) -> None:
+    start = tmp_path / "start.safetensors"
+    save_network(start, trainer(replace(GRID, seed=5)).network, {})
+    config = RunConfig(out=tmp_path / "out", parts=("disc",), initial=start, scene_minutes=1.5)
+    judged: list[dict[str, torch.Tensor]] = []
+
+    def judge(network: Network) -> dict[str, float]:
+        judged.append({name: value.clone() for name, value in network.state_dict().items()})
+        return {"ap": 0.1 * len(judged)}
+
+    for _ in range(2):
+        judged.clear()
+        (tmp_path / "out" / CHECKPOINT).unlink(missing_ok=True)
+        one = trainer(GRID, steps=1)
+        assert not resume(one, config)
+        train(one, judge, config)
+        assert_same(judged[0], load_network(start).state_dict())
+        lines = [json.loads(line) for line in (config.out / LOG).read_text().splitlines()]
+        assert [(line["step"], line["validation"]["ap"], line["scene_minutes"]) for line in lines] == [
+            (0, 0.1, 1.5),
+            (1, 0.2, 1.5),
+        ]
+    assert load_record(config.out / WEIGHTS)["scene_minutes"] == 1.5
+
+
+def test_a_log_is_read_without_lines_that_were_cut_off(tmp_path: Path) -> None:
+    assert read_log(tmp_path / LOG) == []
+    (tmp_path / LOG).write_text('{"step": 2, "minutes": 1}\n{"step": 4, "mi\n{"step": 0}\n{"step": 2, "minutes": 3}\n')
+    assert read_log(tmp_path / LOG) == [{"step": 0}, {"step": 2, "minutes": 3}]
+
+
+def test_fine_tuning_is_gentler_and_never_steeper_than_its_preset() -> None:
+    ours = PRESETS["ours"]
+    tuned = fine_tuning(ours)
+    assert tuned.learning_rate < ours.learning_rate
+    assert tuned.warmup < ours.warmup
+    assert replace(tuned, learning_rate=ours.learning_rate, warmup=ours.warmup) == ours
+    gentle = replace(ours, learning_rate=1e-6, warmup=0)
+    assert fine_tuning(gentle) == gentle
 
 
 def test_ctrl_c_keeps_the_state(tmp_path: Path) -> None:
@@ -271,6 +313,7 @@ def test_several_processes_leave_writing_to_the_first(tmp_path: Path) -> None:
     [
         ({"parts": ()}, "parts must name at least one part"),
         ({"save_every": 0.0}, "save_every must be positive, got 0.0"),
+        ({"scene_minutes": -1.0}, "scene_minutes must not be negative, got -1.0"),
     ],
 )
 def test_nonsense_runs_are_named(values: dict[str, object], text: str, tmp_path: Path) -> None:

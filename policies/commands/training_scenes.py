@@ -1,0 +1,88 @@
+"""Scenes that ``binpick train-segmentation`` makes itself where one part has none."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tqdm import tqdm
+
+from binpick_env.scenes.timed_synthesis import Making, SceneBudget, fine_tuning_scenes, load_making, make_scenes
+
+if TYPE_CHECKING:
+    from perception.segmentation.training.distributed import Place
+    from policies.commands.train_segmentation import Arguments
+
+STATE = "scene_time.json"  # file in the folder of the training
+SHARE = 1 / 3  # share of the minutes in which scenes are made
+MOST = 1000  # number of scenes that are made at most; they are held in memory, at 0.9 MB each
+COUNT = 200  # number of scenes that are made for a training of a number of steps
+
+
+def scenes_of_training(args: "Arguments", place: "Place") -> Making:
+    """Make the scenes of a training on one part where there are too few; return the time that they took.
+
+    Of several processes that train together, the first one makes them, and the others wait.
+    """
+    import torch
+
+    if place.rank == 0 and _needed(args):
+        _make(args)
+    if place.world > 1:
+        torch.distributed.barrier()
+    return load_making(args.folder() / STATE) or Making()
+
+
+def scene_budget(args: "Arguments") -> SceneBudget:
+    """Return how many scenes to make, and within which time."""
+    if args.count is not None or args.minutes is None:
+        count = COUNT if args.count is None else args.count
+        return SceneBudget(least=count, most=count)
+    least = _fewest(args)
+    return SceneBudget(least=least, most=max(least, MOST), seconds=60 * SHARE * args.minutes)
+
+
+def _needed(args: "Arguments") -> bool:
+    if args.count is not None and args.count < 1:
+        raise ValueError(f"count must be at least 1, got {args.count}")
+    if not args.fine_tunes or args.scenes or args.initial is not None:
+        return False
+    making = load_making(args.folder() / STATE)
+    if making is not None:
+        return not making.done
+    return sum(1 for _ in _folder(args).glob("scene_*.npz")) < (_fewest(args) if args.count is None else args.count)
+
+
+def _fewest(args: "Arguments") -> int:
+    """Return the number of scenes below which a folder holds too few: half of them would be held out."""
+    return max(2 * args.held_out, 2)
+
+
+def _folder(args: "Arguments") -> Path:
+    from policies.commands.train_segmentation import default_scenes
+
+    return default_scenes(args.part[0])
+
+
+def _make(args: "Arguments") -> None:
+    """Make scenes and show how far that is."""
+    budget, folder = scene_budget(args), _folder(args)
+    print(f"making scenes in {folder}, {_limit(budget, args.minutes)}")
+    made = make_scenes(fine_tuning_scenes(args.part[0], args.unit), folder, budget, args.folder() / STATE, args.workers)
+    shape = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
+    with tqdm(total=100, desc="scenes", unit="%", bar_format=shape) as bar:
+        for count, making in made:
+            share = count / budget.most if budget.seconds is None else min(making.seconds / budget.seconds, 1.0)
+            bar.n = 100 * share
+            bar.set_postfix(scenes=count, refresh=False)
+            bar.update(0)
+    print(f"made {count} scenes in {making.seconds / 60:.1f} min{_rest(args, making)}")
+
+
+def _limit(budget: SceneBudget, minutes: float | None) -> str:
+    if budget.seconds is None:
+        return f"{budget.most} of them"
+    return f"for {budget.seconds / 60:.1f} of the {minutes:g} minutes, but {budget.least} to {budget.most} of them"
+
+
+def _rest(args: "Arguments", making: Making) -> str:
+    minutes = args.length(args.config(), 1, scene_minutes=making.seconds / 60).minutes
+    return "" if minutes is None else f"; {minutes:.1f} min remain for the training"
