@@ -89,6 +89,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     | `part` | `"tee"` | catalogue name, path to an STL, OBJ or PLY file, or a loaded `Part` |
     | `unit` | `None` | unit of a file's coordinates: `"m"`, `"mm"`, `"cm"`, `"inch"`; guessed from the part's size unless given |
     | `symmetry` | `"detect"` | `"none"` takes every rotation of the part for another pose |
+    | `symmetry_tolerance` | `None` | largest deviation of a file's surface from itself under a symmetry [m]; 0.5 % of the diameter unless given |
     | `density` | `None` | density of the part [kg/m^3]; the catalogue's, or aluminium's for a file |
     | `num_parts` | `(20, 30)` | number of parts, or the range it is drawn from |
     | `perception` | `"learned"` | `"learned"` (from pixels), `"gt_masks"` (true segments) or `"oracle"` (true poses) |
@@ -132,6 +133,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         unit: Unit | None = None,
         symmetry: Literal["detect", "none"] = "detect",
         density: float | None = None,
+        symmetry_tolerance: float | None = None,
         bin: tuple[float, float, float] | None = None,
         jaw: float | None = None,
         camera_distance: float | None = None,
@@ -165,6 +167,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             unit=unit,
             symmetry=symmetry,
             density=density,
+            symmetry_tolerance=symmetry_tolerance,
             **cell,
         )
         # Checked here: arguments that no other class checks.
@@ -178,7 +181,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         self._sensor = sensor_model(sensor)
         # The cell, what perceives it, and what shows it.
         self.config = resolve_cell(config, camera, **cell)
-        self.part = resolve_part(part, unit, symmetry, density)
+        self.part = resolve_part(part, unit, symmetry, density, symmetry_tolerance)
         self.workspace: Workspace = self.config.bin.workspace()
         noise = _resolved_noise(pose_noise, self.part, sensor)
         self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads)

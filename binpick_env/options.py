@@ -16,6 +16,7 @@ from binpick_env.config import (
     TrayConfig,
 )
 from binpick_env.parts.density import check_density
+from binpick_env.parts.symmetry_tolerance import check_symmetry_tolerance
 from binpick_env.parts.unit import Unit, check_unit
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ class CellOptions:
     unit: Unit | None = None  # unit of a mesh file's coordinates; guessed from the part's size unless given
     symmetry: Literal["detect", "none"] = "detect"  # "none" takes every rotation of the part for another pose
     density: float | None = None  # density of the part [kg/m^3]; the catalogue's, or aluminium's for a file
+    # largest deviation of a file's surface from itself under a symmetry [m]; 0.5 % of the diameter unless given
+    symmetry_tolerance: float | None = None
     bin: tuple[float, float, float] | None = None  # length, width, height inside the bin [m]; the standard bin's
     jaw: float | None = None  # largest opening of the jaw [m]; the gripper's own unless given
     camera_distance: float = 0.9  # distance of the camera from the bin's floor [m]
@@ -52,6 +55,8 @@ class CellOptions:
             check_unit(self.unit)
         if self.symmetry not in ("detect", "none"):
             raise ValueError(f"symmetry must be 'detect' or 'none', got {self.symmetry!r}")
+        if self.symmetry_tolerance is not None:
+            check_symmetry_tolerance(self.symmetry_tolerance)
         if self.density is not None:
             check_density(self.density)
         if self.sensor not in get_args(SensorPreset):
@@ -79,7 +84,13 @@ class CellOptions:
         # Here, since command lines read the options and must not load the mesh libraries for that.
         from binpick_env.parts.part import load_part
 
-        return load_part(self.part, unit=self.unit, symmetry=self.symmetry, density=self.density)
+        return load_part(
+            self.part,
+            unit=self.unit,
+            symmetry=self.symmetry,
+            density=self.density,
+            symmetry_tolerance=self.symmetry_tolerance,
+        )
 
     def cell(self) -> CellConfig:
         """Return the cell's settings."""

@@ -8,7 +8,13 @@ from typing import Any
 from perception.runtime.files import json_text, write_atomically
 
 
-def ensure_same_config(path: Path, values: dict[str, Any], what: str, renamed: Mapping[str, str] | None = None) -> None:
+def ensure_same_config(
+    path: Path,
+    values: dict[str, Any],
+    what: str,
+    renamed: Mapping[str, str] | None = None,
+    assumed: Mapping[str, Any] | None = None,
+) -> None:
     """Write the configuration of a folder, or compare it with the one that is there.
 
     Args:
@@ -16,6 +22,7 @@ def ensure_same_config(path: Path, values: dict[str, Any], what: str, renamed: M
         values: Everything that the results depend on, as JSON types.
         what: Name of the results for the error message, such as "scenes".
         renamed: Present names of values by their names in files of the previous version.
+        assumed: Values that files of older versions lack, as they are to be understood, where ``values`` has them.
 
     Raises:
         ValueError: The file holds another configuration (the message lists the differences), or cannot be read.
@@ -28,6 +35,7 @@ def ensure_same_config(path: Path, values: dict[str, Any], what: str, renamed: M
         return
     try:
         stored = {renamed.get(name, name): value for name, value in json.loads(path.read_text()).items()}
+        stored = {name: value for name, value in (assumed or {}).items() if name in given} | stored
         names = sorted(name for name in {*given, *stored} if given.get(name) != stored.get(name))
     except (ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} is damaged; choose another folder with --out, or delete this one") from error

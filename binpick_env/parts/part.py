@@ -125,15 +125,22 @@ def generate_part(family: str, index: int, d_max_range: tuple[float, float] = D_
     return load_part(str(GeneratedName(family=family, index=index, d_max_range=(low, high))))
 
 
-def resolve_part(part: str | Path | Part, unit: Unit | None, symmetry: SymmetryChoice, density: float | None) -> Part:
-    """Return a part given as such, or load it; ``unit``, ``symmetry`` and ``density`` as in :func:`load_part`.
+def resolve_part(
+    part: str | Path | Part,
+    unit: Unit | None,
+    symmetry: SymmetryChoice,
+    density: float | None,
+    symmetry_tolerance: float | None = None,
+) -> Part:
+    """Return a part given as such, or load it with the options of :func:`load_part`.
 
     Raises:
         ValueError: An option is given beside a part that is loaded already, or the part cannot be loaded.
     """
     if not isinstance(part, Part):
-        return load_part(part, unit=unit, symmetry=symmetry, density=density)
+        return load_part(part, unit=unit, symmetry=symmetry, density=density, symmetry_tolerance=symmetry_tolerance)
     given = {"unit": unit is not None, "symmetry": symmetry != "detect", "density": density is not None}
+    given["symmetry_tolerance"] = symmetry_tolerance is not None
     twice = [name for name, is_given in given.items() if is_given]
     if twice:
         raise ValueError(f"{', '.join(twice)} cannot be given beside a loaded part: give it to load_part")

@@ -12,6 +12,7 @@ import trimesh
 from scipy.optimize import minimize
 
 from binpick_env.parts.surface import SurfaceProbe
+from binpick_env.parts.symmetry_tolerance import check_symmetry_tolerance
 from perception.geometry import Floats, require_shape, rotation_about, rotation_angle
 from perception.part import Symmetry, diameter
 
@@ -34,8 +35,8 @@ class SymmetrySettings:
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 0.1:
             raise ValueError(f"tolerance must be in (0, 0.1) of d_max, got {self.tolerance}")
-        if self.metres is not None and not 0 < self.metres < 0.1:
-            raise ValueError(f"symmetry_tolerance must be over 0 and under 0.1 m, got {self.metres}")
+        if self.metres is not None:
+            check_symmetry_tolerance(self.metres)
         if self.samples < 100:
             raise ValueError(f"samples must be at least 100, got {self.samples}")
 
@@ -138,7 +139,7 @@ class _Search:
         if turn:
             log.info(
                 "no symmetry, but nearly: a turn by %s deviates by %.2f mm, the tolerance is %.2f mm; "
-                "symmetry_tolerance of load_part [m] changes it",
+                "--symmetry-tolerance, in Python symmetry_tolerance= [m], changes it",
                 turn,
                 nearest * 1e3,
                 self.tolerance * 1e3,

@@ -22,6 +22,7 @@ from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.options import CellOptions
 from binpick_env.parts.catalogue import CATALOGUE
+from binpick_env.parts.families.generator import VERSION as GENERATOR_VERSION
 from binpick_env.parts.families.names import is_generated, training_parts
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
@@ -37,7 +38,15 @@ MANY_PARTS = "generated"  # stands for parts of all training families, for the t
 SCENES_PER_PART = 4  # number of successive scenes of one part of `MANY_PARTS`
 FILLING = 0.4  # largest volume of the parts' hulls, as a share of the bin's, that `with_room` drops into a bin
 # Newer fields and their defaults.
-_NEWER_FIELDS = {"symmetry": "detect", "density": None, "bin": None, "friction": None, "appearance": "clean"}
+_NEWER_FIELDS = {
+    "symmetry": "detect",
+    "density": None,
+    "bin": None,
+    "friction": None,
+    "appearance": "clean",
+    "symmetry_tolerance": None,
+}
+OLDER_SETTINGS = {"generator": 1}  # settings that folders of older versions lack
 # Share of scenes that each preset sees.
 MIXTURE: dict[SensorPreset, float] = {"good": 0.7, "harsh": 0.2, "none": 0.1}  # "mixed": structured light alone
 FULL_MIXTURE: dict[SensorPreset, float] = {"good": 0.35, "stereo": 0.25, "tof": 0.1, "harsh": 0.2, "none": 0.1}  # "all"
@@ -63,6 +72,8 @@ class SceneConfig:
         bin: Length, width and height inside the bin [m]; those of the standard bin by default.
         friction: Sliding friction coefficient of parts, bin and tray; the cell's own by default.
         appearance: "varied" draws uneven light, blur, labels, worn edges and deviations from CAD for each scene.
+        symmetry_tolerance: Largest deviation of a mesh file's surface from itself under a symmetry [m]; 0.5 % of its
+            diameter by default.
     """
 
     part: str = "tee"
@@ -77,6 +88,7 @@ class SceneConfig:
     bin: tuple[float, float, float] | None = None
     friction: float | None = None
     appearance: AppearanceChoice = "clean"
+    symmetry_tolerance: float | None = None
 
     def __post_init__(self) -> None:
         low, high = self.num_parts
@@ -96,6 +108,7 @@ class SceneConfig:
             part=self.part,
             unit=self.unit,
             symmetry=self.symmetry,
+            symmetry_tolerance=self.symmetry_tolerance,
             density=self.density,
             bin=self.bin,
             camera_distance=self.camera.distance,
@@ -251,11 +264,11 @@ def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int 
 
 def ensure_folder_config(config: SceneConfig, folder: Path) -> None:
     """Write the configuration into the folder, or compare it with the one there; see `ensure_same_config`."""
-    ensure_same_config(folder / SCENES_NOTE, scene_settings(config), "scenes")
+    ensure_same_config(folder / SCENES_NOTE, scene_settings(config), "scenes", assumed=OLDER_SETTINGS)
 
 
 def scene_settings(config: SceneConfig) -> dict[str, Any]:
-    """Return the configuration as JSON types, with the SHA-256 of a mesh file.
+    """Return the configuration as JSON types, with the SHA-256 of a mesh file or the version of the part generator.
 
     Newer fields are left out where they have their defaults, so that folders of older versions can be resumed.
     """
@@ -263,7 +276,9 @@ def scene_settings(config: SceneConfig) -> dict[str, Any]:
     for name, default in _NEWER_FIELDS.items():
         if values[name] == default:
             del values[name]
-    if config.part not in (*CATALOGUE, MANY_PARTS) and not is_generated(config.part):
+    if config.part == MANY_PARTS or is_generated(config.part):
+        values["generator"] = GENERATOR_VERSION
+    elif config.part not in CATALOGUE:
         values["file"] = hashlib.sha256(Path(config.part).read_bytes()).hexdigest()
     return values
 

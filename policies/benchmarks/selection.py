@@ -45,6 +45,7 @@ def bench_selection(
             "unit": cell.unit,
             "symmetry": cell.symmetry,
             "density": cell.density,
+            "symmetry_tolerance": cell.symmetry_tolerance,
             "sensor": cell.sensor,
             "config": cell.cell(),
             "perception": perception,

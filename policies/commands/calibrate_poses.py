@@ -49,7 +49,12 @@ def _fit(args: Arguments) -> str:
     samples = []
     for folder in args.folders:
         note = json.loads((folder / CONFIG_FILE).read_text())
-        part = load_part(note["part"], unit=note["unit"], symmetry=note.get("symmetry", "detect"))
+        part = load_part(
+            note["part"],
+            unit=note["unit"],
+            symmetry=note.get("symmetry", "detect"),
+            symmetry_tolerance=note.get("symmetry_tolerance"),
+        )
         samples.append(load_sample(folder, part.model, ConfidenceConfig().clear))
     sample = Sample.join(samples)
     config = fit_confidence(sample)

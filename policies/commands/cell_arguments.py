@@ -15,6 +15,8 @@ class PartArguments:
     part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
     unit: Unit | None = None  # length unit of a part file's coordinates; metres or millimetres, guessed, unless given
     symmetry: Literal["detect", "none"] = "detect"  # rotational symmetry of a part file; none: ignore it
+    # largest deviation of a part file's surface from itself under a symmetry [m]; 0.5 % of its diameter unless given
+    symmetry_tolerance: float | None = None
     density: float | None = None  # density of the part [kg/m^3]; the catalogue's, or 2700 for a file, unless given
     # length, width, height inside the bin [m], or one word in mm such as 360x260x120; 0.36 0.26 0.12 unless given
     bin: tuple[float, float, float] | None = None
@@ -64,11 +66,11 @@ def _options(arguments: PartArguments, kind: type[PartArguments]) -> CellOptions
 
 def evaluated(options: CellOptions) -> dict[str, Any]:
     """Return options as the fields of an `EvaluationConfig`, which has the camera as a whole."""
-    names = ("part", "unit", "symmetry", "density", "bin", "jaw", "sensor", "friction")
+    names = ("part", "unit", "symmetry", "symmetry_tolerance", "density", "bin", "jaw", "sensor", "friction")
     return {**{name: getattr(options, name) for name in names}, "camera": options.cell().camera}
 
 
 def scenes_of(options: CellOptions) -> dict[str, Any]:
     """Return options as the fields of a `SceneConfig`, which has the camera as a whole."""
-    names = ("part", "unit", "symmetry", "density", "bin", "friction")
+    names = ("part", "unit", "symmetry", "symmetry_tolerance", "density", "bin", "friction")
     return {**{name: getattr(options, name) for name in names}, "camera": options.cell().camera}

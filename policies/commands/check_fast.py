@@ -59,6 +59,7 @@ def _env(args: Arguments, *, fast: bool) -> "GraspSelectionEnv":
         unit=options.unit,
         symmetry=options.symmetry,
         density=options.density,
+        symmetry_tolerance=options.symmetry_tolerance,
         num_parts=(args.min_parts, args.max_parts),
         sensor=options.sensor,
         config=options.cell(),

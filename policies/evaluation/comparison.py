@@ -17,7 +17,8 @@ from policies.evaluation.statistics import paired_ratio_difference
 from policies.grasping.outcomes import GraspOutcome
 
 NUMBERS = ("gsr", "dr", "mpph", "ap", *RATES)  # keys of the numbers that are compared
-_SAME = ("part", "unit", "symmetry", "density", "seed", "num_parts", "bin", "friction")  # settings that make the bins
+# Settings that make the bins.
+_SAME = ("part", "unit", "symmetry", "symmetry_tolerance", "density", "seed", "num_parts", "bin", "friction")
 Pair = tuple[float, float]
 
 

@@ -19,7 +19,7 @@ from policies.picking.settings import PickerSettings
 
 _log = logging.getLogger(__name__)
 # Fields that the digest leaves out where they are None, so that folders of older runs keep their digest.
-_NEWER_FIELDS = ("jaw", "friction")
+_NEWER_FIELDS = ("jaw", "friction", "symmetry_tolerance")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +40,8 @@ class EvaluationConfig:
     bin: tuple[float, float, float] | None = None  # length, width, height inside [m]; None is the standard bin
     jaw: float | None = None  # largest opening of the jaw [m]; None is the gripper's own
     friction: float | None = None  # sliding friction coefficient of parts, bin and tray; None is the cell's own
+    # largest deviation of a part file's surface from itself under a symmetry [m]; None is 0.5 % of its diameter
+    symmetry_tolerance: float | None = None
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -67,6 +69,7 @@ class EvaluationConfig:
             unit=self.unit,
             symmetry=self.symmetry,
             density=self.density,
+            symmetry_tolerance=self.symmetry_tolerance,
             bin=self.bin,
             jaw=self.jaw,
             camera_distance=self.camera.distance,

@@ -105,7 +105,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
     ## Arguments
     | name | default | meaning |
     | --- | --- | --- |
-    | `part`, `unit`, `symmetry`, `density`, `num_parts`, `perception`, `sensor`, `pose_noise`, `threads`, `render_mode` | | as `BinPick-v0`'s |
+    | `part`, `unit`, `symmetry`, `symmetry_tolerance`, `density`, `num_parts`, `perception`, `sensor`, `pose_noise`, `threads`, `render_mode` | | as `BinPick-v0`'s |
     | `bin`, `jaw`, `friction`, `camera_distance`, `width`, `height`, `hand_eye_mm`, `camera`, `config` | `None` | as `BinPick-v0`'s: options of the cell one by one, its camera, or the whole cell |
     | `max_failures` | `2` | consecutive failures that end the bin; `None` for no limit |
     | `per_part` | `3` | largest number of candidates on one part |
@@ -137,6 +137,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
         unit: Unit | None = None,
         symmetry: Literal["detect", "none"] = "detect",
         density: float | None = None,
+        symmetry_tolerance: float | None = None,
         bin: tuple[float, float, float] | None = None,
         jaw: float | None = None,
         camera_distance: float | None = None,
@@ -158,6 +159,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
             "unit": unit,
             "symmetry": symmetry,
             "density": density,
+            "symmetry_tolerance": symmetry_tolerance,
             "bin": bin,
             "jaw": jaw,
             "camera_distance": camera_distance,

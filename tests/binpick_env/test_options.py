@@ -61,7 +61,7 @@ OPTIONS: dict[str, tuple[Any, Callable[[BinPickEnv], object], object]] = {
     "hand_eye_mm": (5.0, lambda env: 2.0 < spread_of_the_camera(env) < 25.0, True),
     "friction": (0.2, friction_of_the_bin, pytest.approx(0.2)),
 }
-ELSEWHERE = {"unit", "backend"}  # in tests of their own: the one needs a file, the other is the camera config's
+ELSEWHERE = {"unit", "symmetry_tolerance", "backend"}  # in tests of their own: two need a file, one is the camera's
 
 
 @pytest.fixture(scope="module")
@@ -131,11 +131,24 @@ def test_the_unit_of_a_file_arrives(tmp_path: Path, cache: Path) -> None:
     env.close()
 
 
+def test_the_symmetry_tolerance_of_a_file_arrives(tmp_path: Path, cache: Path) -> None:
+    """A bar of 50 x 50.6 mm is square within 0.5 mm."""
+    path = tmp_path / "bar.ply"
+    trimesh.creation.box((0.05, 0.0506, 0.08)).export(path)
+    for tolerance, order in ((0.0002, 4), (0.0005, 8)):
+        options = CellOptions(part=str(path), symmetry_tolerance=tolerance)
+        assert options.load_part().model.symmetry.order == order
+        env = gym.make("BinPick-v0", **TINY, part=str(path), symmetry_tolerance=tolerance)
+        assert env.unwrapped.part.model.symmetry.order == order  # type: ignore[attr-defined]
+        env.close()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"unit": "feet"}, "unit must be one of m, mm, cm, inch, got 'feet'"),
         ({"symmetry": "some"}, "symmetry must be 'detect' or 'none', got 'some'"),
+        ({"symmetry_tolerance": 0.0}, r"symmetry_tolerance must be over 0 and under 0.1 m, got 0.0"),
         ({"density": 0.0}, r"density must be 10 to 25000 kg/m\^3"),
         ({"bin": (0.3, 0.2)}, r"bin must be length, width and height inside \[m\], all positive, got \(0\.3, 0\.2\)"),
         ({"bin": (0.3, 0.0, 0.1)}, r"bin must be length, width and height inside \[m\], all positive, got \(0\.3"),

@@ -18,7 +18,7 @@ from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, req
 from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
-from binpick_env.scenes.synthesis import CapturedScene, SceneConfig, make_scene, scene_settings
+from binpick_env.scenes.synthesis import OLDER_SETTINGS, CapturedScene, SceneConfig, make_scene, scene_settings
 from binpick_env.scenes.whole_part import whole_part_points
 from perception.boundary import BoundaryCloud, extract_boundary
 from perception.frame import Frame
@@ -128,7 +128,9 @@ def evaluate_poses(
     config.load()  # before the folder gets a configuration
     if config.method.network is not None:
         require_unseen(EvaluationConfig(scenes=config.scenes, method=config.method.network))
-    ensure_same_config(folder / CONFIG_FILE, _flat(config.settings()), "an evaluation of poses", RENAMED)
+    ensure_same_config(
+        folder / CONFIG_FILE, _flat(config.settings()), "an evaluation of poses", RENAMED, assumed=OLDER_SETTINGS
+    )
     missing = []
     for index in range(count):
         if not fresh and _is_whole(record_path(folder, index)):

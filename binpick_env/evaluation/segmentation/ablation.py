@@ -18,7 +18,7 @@ from binpick_env.evaluation.segmentation.summary import load_scores
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.parts.label import part_label
-from binpick_env.scenes.synthesis import SceneConfig, generate_scenes, is_of_part, scene_settings
+from binpick_env.scenes.synthesis import OLDER_SETTINGS, SceneConfig, generate_scenes, is_of_part, scene_settings
 from perception.metrics.average_precision import ap_summary
 from perception.metrics.matching import SceneMatches
 from perception.runtime.files import json_text, write_atomically
@@ -175,7 +175,7 @@ def run_ablation(config: AblationConfig, out: Path, workers: int = 1, report: Re
     config.scenes.options().load_part()  # before the folder gets a configuration
     for given in filter(None, (config.training, config.validation)):
         find_scenes([given])
-    ensure_same_config(out / "ablation.json", config.settings(), "an ablation")
+    ensure_same_config(out / "ablation.json", config.settings(), "an ablation", assumed=OLDER_SETTINGS)
     run = _AblationRun(
         config=config,
         out=out,

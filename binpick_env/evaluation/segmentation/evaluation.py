@@ -16,7 +16,7 @@ from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord, reco
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.scenes.boundary_quality import wrong_side
-from binpick_env.scenes.synthesis import SceneConfig, is_of_part, make_scene, scene_settings
+from binpick_env.scenes.synthesis import OLDER_SETTINGS, SceneConfig, is_of_part, make_scene, scene_settings
 from perception.boundary import extract_boundary
 from perception.frame import Frame, Workspace
 from perception.instance import Instance, labels_of
@@ -77,7 +77,7 @@ def evaluate_scenes(
     config.scenes.options().load_part()
     segmenter(config.method)  # before the folder gets a configuration
     require_unseen(config)
-    ensure_same_config(folder / CONFIG_FILE, config.settings(), "an evaluation")
+    ensure_same_config(folder / CONFIG_FILE, config.settings(), "an evaluation", assumed=OLDER_SETTINGS)
     missing = []
     for index in range(count):
         if not fresh and _is_whole(record_path(folder, index)):

@@ -11,6 +11,7 @@ from binpick_env.parts.families.registry import FAMILIES
 from binpick_env.parts.families.solid import as_trimesh, without_slivers
 from perception.part import diameter
 
+VERSION = 1  # version of the generator; raise it when the same names give other parts
 LEAST_WALL = 0.001  # thinnest wall that is generated [m]
 LEAST_SHARE = 0.02  # thinnest wall, as a share of d_max
 ATTEMPTS = 50  # number of drawings of a part, of which the first is taken whose walls are thick enough

@@ -42,6 +42,7 @@ class Cells(CellOptions):
             unit=self.unit,
             symmetry=self.symmetry,
             density=self.density,
+            symmetry_tolerance=self.symmetry_tolerance,
             num_parts=(self.min_parts, self.max_parts),
             perception=self.perception,
             sensor=self.sensor,

@@ -34,6 +34,7 @@ def test_the_digest_sees_every_setting() -> None:
         "bin": (0.3, 0.2, 0.1),
         "jaw": 0.06,
         "friction": 0.3,
+        "symmetry_tolerance": 0.001,
     }
     digests = {dataclasses.replace(CONFIG, **{name: value}).digest() for name, value in changes.items()}
     assert len({*digests, CONFIG.digest()}) == len(changes) + 1
