@@ -112,6 +112,18 @@ class CellOptions:
         )
 
 
+def evaluated(options: CellOptions) -> dict[str, Any]:
+    """Return options as the fields of an evaluation of picks, which has the camera as a whole."""
+    names = ("part", "unit", "symmetry", "symmetry_tolerance", "density", "bin", "jaw", "sensor", "friction")
+    return {**{name: getattr(options, name) for name in names}, "camera": options.cell().camera}
+
+
+def scenes_of(options: CellOptions) -> dict[str, Any]:
+    """Return options as the fields of synthetic scenes, which have the camera as a whole."""
+    names = ("part", "unit", "symmetry", "symmetry_tolerance", "density", "bin", "friction")
+    return {**{name: getattr(options, name) for name in names}, "camera": options.cell().camera}
+
+
 def resolve_cell(config: CellConfig | None, camera: CameraConfig | None, **options: Any) -> CellConfig:
     """Return the cell that an environment's arguments describe: as a whole, or option by option.
 

@@ -97,6 +97,17 @@ def _check_budget(line: Line) -> None:
     assert all(mode in page for mode in modes)
 
 
+def check_assess(line: Line) -> None:
+    labels = {"part", "rests", "seen", "grasps", "scenes", "picks", "lost", "time", "numbers", "advice", "report"}
+    assert labels <= {text.split()[0] for text in line.shown.splitlines()}
+    numbers = line.numbers("assessment.json")
+    assert (numbers["perception"]["scenes"], numbers["picking"]["parts"]) == (line.args.scenes, PARTS * line.args.bins)
+    assert set(numbers["seconds"]) == {"part", "scenes", "bins"}
+    report = (line.out / "report.html").read_text()
+    assert report.count("at rest, seen from above at an angle") == len(numbers["rests"])
+    assert report.count("src='data:image/webp;base64,") >= 1
+
+
 def check_compare(line: Line) -> None:
     first, second = line.args.runs
     assert [f"A  {first}", f"B  {second}", "differs: perception: oracle (A), gt_masks (B)"] == (
@@ -216,6 +227,7 @@ SCENES = {"--count": 2, "--workers": 1} | {name: value for name, value in BINS.i
 NETWORK = {"--steps": 1, "--points": 64, "--batch": 2, "--held-out": 1}
 TINY = {
     "pick": Tiny(options={**BINS, "--video-limit": 1}, check=check_pick),
+    "assess": Tiny(options={**BINS, "--scenes": 1, "--workers": 1}, check=check_assess),
     "compare": Tiny(options={}, check=check_compare),
     "generate-scenes": Tiny(options=SCENES, check=check_generate_scenes),
     "train-segmentation": Tiny(

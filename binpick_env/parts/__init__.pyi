@@ -1,9 +1,12 @@
 from .catalogue import CATALOGUE as CATALOGUE
+from .file_facts import FileFacts as FileFacts
 from .part import Part as Part
 from .part import generate_part as generate_part
 from .part import load_part as load_part
 from .pieces import PieceSettings as PieceSettings
 from .pieces import convex_pieces as convex_pieces
+from .symmetry import NearSymmetry as NearSymmetry
 from .symmetry import SymmetrySettings as SymmetrySettings
 from .symmetry import detect_symmetry as detect_symmetry
+from .symmetry import near_symmetry as near_symmetry
 from .symmetry import symmetry_error as symmetry_error

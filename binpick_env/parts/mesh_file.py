@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from binpick_env.parts.mesh_bodies import joined, united
+from binpick_env.parts.file_facts import FileFacts, UnitOrigin
+from binpick_env.parts.mesh_bodies import bodies_of, joined, united
 from binpick_env.parts.mesh_formats import read_bodies
 from binpick_env.parts.mesh_repair import closed
 from binpick_env.parts.simplification import simplified
@@ -14,6 +15,7 @@ from binpick_env.parts.surface import hausdorff_distance
 from binpick_env.parts.unit import METRES, Unit, check_unit
 from perception.part import diameter, require_volume
 from perception.size import PLAUSIBLE
+from perception.winding import outward
 
 log = logging.getLogger(__name__)
 D_MAX = (0.02, 0.2)  # range of d_max [m]: below, the camera sees too few points; above, no bin of the cell holds a pile
@@ -33,7 +35,7 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
 
     Returns:
         The mesh. It is repaired where that is faithful, its bodies are united, and it is simplified above `MAX_FACES`;
-        the log says so. ``unit`` in its metadata is the unit of the file.
+        the log says so. Its metadata holds the file's ``unit``, and under ``facts`` how it was read (`FileFacts`).
 
     Raises:
         ValueError: The file cannot be read, is empty or open, its bodies are apart, its unit is unclear, or the part is
@@ -46,15 +48,19 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
     if unit is not None and named is not None:
         raise ValueError(f"{path} names its own unit: leave out --unit, in Python unit=, got {unit!r}")
     size = diameter(np.concatenate([mesh.vertices for mesh in meshes]))
+    origin: UnitOrigin = "given" if unit is not None else "named" if named is not None else "guessed"
     read_as = check_unit(unit) if unit is not None else named or _guessed_unit(path, size)
     _require_size(path, size, read_as)
-    mesh = _whole(meshes, path)
+    mesh, bodies, repairs = _whole(meshes, path)
     scale = METRES[read_as]
     mesh.apply_transform(np.diag([scale, scale, scale, 1.0]))
     require_volume(str(path), mesh)
     if len(mesh.faces) > MAX_FACES:
+        faces = len(mesh.faces)
         mesh = _of_fewer_faces(mesh, path)
+        repairs.append(f"simplified from {faces} to {len(mesh.faces)} faces")
     mesh.metadata["unit"] = read_as
+    mesh.metadata["facts"] = FileFacts(unit=read_as, unit_origin=origin, bodies=bodies, repairs=tuple(repairs))
     sides = np.sort(mesh.bounding_box_oriented.extents)
     if sides[0] < LEAST_THICKNESS:
         raise ValueError(
@@ -89,21 +95,33 @@ def _require_size(path: Path, size: float, read_as: str) -> None:
     )
 
 
-def _whole(meshes: list[trimesh.Trimesh], path: Path) -> trimesh.Trimesh:
-    """Return one closed body of a file's meshes, which may be closed each or only together."""
+def _whole(meshes: list[trimesh.Trimesh], path: Path) -> tuple[trimesh.Trimesh, int, list[str]]:
+    """Return one closed body of a file's meshes, the number of bodies united in it, and what was repaired.
+
+    The meshes may be closed each or only together.
+    """
     parts = list(meshes)
     for part in parts:
         if not part.is_watertight:
             part.merge_vertices(merge_tex=True, merge_norm=True)
     if len(parts) > 1 and not all(part.is_watertight for part in parts):
         parts = [joined(parts)]
-    whole = united([closed(part, path) for part in parts], path)
+    solids = [closed(part, path) for part in parts]
+    repairs = [_repair(before, after) for before, after in zip(parts, solids, strict=True) if after is not before]
+    whole = united(solids, path)
     if not whole.is_volume:
         raise ValueError(
             f"the mesh of {path} must enclose a volume, got {whole.volume:.3g} with inconsistent normals: repair it, "
             "for instance in MeshLab"
         )
-    return whole
+    return whole, sum(len(bodies_of(outward(solid))) for solid in solids), repairs
+
+
+def _repair(before: trimesh.Trimesh, after: trimesh.Trimesh) -> str:
+    """Return in words what closing a mesh changed."""
+    counts = np.unique(before.edges_sorted, axis=0, return_counts=True)[1]
+    grown = 100 * (float(after.area) / float(before.area) - 1)
+    return f"{int(np.sum(counts == 1))} open edges closed, which changed the surface's area by {grown:+.2g} %"
 
 
 def _of_fewer_faces(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:

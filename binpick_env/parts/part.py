@@ -13,6 +13,7 @@ from binpick_env.parts.density import FILE_DENSITY, check_density
 from binpick_env.parts.design import Design
 from binpick_env.parts.families.generator import generated_design
 from binpick_env.parts.families.names import GeneratedName, is_generated, parse_name
+from binpick_env.parts.file_facts import FileFacts
 from binpick_env.parts.mesh_file import D_MAX, read_mesh
 from binpick_env.parts.mesh_formats import SUFFIXES
 from binpick_env.parts.pieces import convex_pieces
@@ -36,6 +37,7 @@ class Part:
         inertia: (3, 3) inertia tensor about ``model.centre``, part axes [kg m^2].
         source: Name of a catalogue part or a generated part, or absolute path of the file.
         unit: Unit of the file's coordinates, given or guessed; "m" for a part without a file.
+        file: How the file was read; None for a part without a file.
     """
 
     model: PartModel
@@ -45,6 +47,7 @@ class Part:
     inertia: Floats
     source: str
     unit: str = "m"
+    file: FileFacts | None = None
 
 
 def load_part(
@@ -163,18 +166,18 @@ def _generated_part(name: GeneratedName, symmetry: SymmetryChoice, density: floa
 
 def _file_part(path: Path, unit: Unit | None, symmetry: Symmetry | SymmetrySettings, density: float) -> Part:
     mesh = read_mesh(path, unit)
-    unit_read = str(mesh.metadata["unit"])
+    facts: FileFacts = mesh.metadata["facts"]
     mesh.apply_translation(-mesh.center_mass)
     group = symmetry if isinstance(symmetry, Symmetry) else detect_symmetry(mesh, symmetry)
     drawn = Design(name=path.stem, mesh=mesh, pieces=convex_pieces(mesh), density=density, symmetry=group)
-    return _assemble(drawn, source=str(path.resolve()), unit=unit_read)
+    return replace(_assemble(drawn, source=str(path.resolve())), unit=facts.unit, file=facts)
 
 
 def _group(symmetry: SymmetryChoice) -> Symmetry:
     return symmetry if isinstance(symmetry, Symmetry) else Symmetry()
 
 
-def _assemble(drawn: Design, *, source: str, unit: str = "m") -> Part:
+def _assemble(drawn: Design, *, source: str) -> Part:
     for shared in (drawn.mesh, *drawn.pieces):
         shared.mutable = False
     return Part(
@@ -184,5 +187,4 @@ def _assemble(drawn: Design, *, source: str, unit: str = "m") -> Part:
         mass=float(drawn.mesh.volume * drawn.density),
         inertia=np.asarray(drawn.mesh.moment_inertia, dtype=np.float64) * drawn.density,
         source=source,
-        unit=unit,
     )

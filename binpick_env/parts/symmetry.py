@@ -41,6 +41,23 @@ class SymmetrySettings:
             raise ValueError(f"samples must be at least 100, got {self.samples}")
 
 
+@dataclass(frozen=True, kw_only=True)
+class NearSymmetry:
+    """A rotation about a part's centre that nearly maps its surface onto itself.
+
+    Attributes:
+        angle_deg: Angle of the rotation [deg].
+        axis: Unit axis of the rotation, part axes.
+        deviation: Largest distance between the turned surface and the still one [m].
+        tolerance: Largest deviation of a symmetry [m].
+    """
+
+    angle_deg: float
+    axis: tuple[float, float, float]
+    deviation: float
+    tolerance: float
+
+
 def symmetry_error(mesh: trimesh.Trimesh, rotation: Floats, centre: Floats) -> float:
     """Return how far a mesh, turned about a point, deviates from itself [m].
 
@@ -79,6 +96,29 @@ def detect_symmetry(mesh: trimesh.Trimesh, settings: SymmetrySettings | None = N
         comes nearest to a symmetry, if it deviates by less than `NEARLY` tolerances.
     """
     return _Search(mesh, settings or SymmetrySettings()).group()
+
+
+def near_symmetry(
+    mesh: trimesh.Trimesh, found: Symmetry, settings: SymmetrySettings | None = None
+) -> NearSymmetry | None:
+    """Return the turn about a principal axis that comes nearest to a symmetry without being one.
+
+    Turns by a half down to a sixth of a full turn are measured, those of a continuous axis or a ball never.
+
+    Args:
+        mesh: Watertight mesh, part frame [m].
+        found: Symmetry group of the mesh.
+        settings: Tolerance and number of samples.
+
+    Returns:
+        The turn; None where none deviates by less than `NEARLY` tolerances.
+
+    Note:
+        Deterministic; some tenths of a second.
+    """
+    if found.axis is not None or found.sphere:
+        return None
+    return _Search(mesh, settings or SymmetrySettings()).nearest(found.rotations)
 
 
 class _Search:
@@ -124,24 +164,35 @@ class _Search:
         self._report_near_symmetry(found)
         return Symmetry(rotations=found)
 
-    def _report_near_symmetry(self, found: Floats) -> None:
-        """Log the turn about a principal axis that comes nearest to a symmetry, and what was not searched."""
-        nearest, turn = NEARLY * self.tolerance, ""
+    def nearest(self, found: Floats) -> NearSymmetry | None:
+        """Return the turn about a principal axis that comes nearest to a symmetry; None if none is near."""
+        nearest = None
+        least = NEARLY * self.tolerance
         for axis in self.axes:
             for order in range(2, 7):
                 rotation = rotation_about(axis, 2 * np.pi / order)
                 if rotation_angle(found @ rotation.T).min() < SAME_ROTATION:
                     continue
                 few = self.probe.turned(rotation, self.centre, stride=20)
-                error = self.probe.error(rotation, self.centre) if self.probe.distance(few).max() < nearest else np.inf
-                if error < nearest:
-                    nearest, turn = error, f"{360 // order} deg about {np.round(axis, 2).tolist()}"
-        if turn:
+                error = self.probe.error(rotation, self.centre) if self.probe.distance(few).max() < least else np.inf
+                if error < least:
+                    least = error
+                    x, y, z = axis.tolist()
+                    nearest = NearSymmetry(
+                        angle_deg=360 / order, axis=(x, y, z), deviation=error, tolerance=self.tolerance
+                    )
+        return nearest
+
+    def _report_near_symmetry(self, found: Floats) -> None:
+        """Log the turn about a principal axis that comes nearest to a symmetry, and what was not searched."""
+        near = self.nearest(found)
+        if near is not None:
             log.info(
-                "no symmetry, but nearly: a turn by %s deviates by %.2f mm, the tolerance is %.2f mm; "
+                "no symmetry, but nearly: a turn by %.0f deg about %s deviates by %.2f mm, the tolerance is %.2f mm; "
                 "--symmetry-tolerance, in Python symmetry_tolerance= [m], changes it",
-                turn,
-                nearest * 1e3,
+                near.angle_deg,
+                np.round(near.axis, 2).tolist(),
+                near.deviation * 1e3,
                 self.tolerance * 1e3,
             )
         if len(found) > 1:

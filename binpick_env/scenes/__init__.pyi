@@ -5,6 +5,7 @@ from .clutter import silhouette_pixels as silhouette_pixels
 from .clutter import visible_fractions as visible_fractions
 from .synthesis import CapturedScene as CapturedScene
 from .synthesis import SceneConfig as SceneConfig
+from .synthesis import bin_capacity as bin_capacity
 from .synthesis import generate_scenes as generate_scenes
 from .synthesis import make_scene as make_scene
 from .synthesis import scene_path as scene_path

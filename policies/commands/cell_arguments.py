@@ -1,10 +1,12 @@
 """The options of the cell, the same on every command that builds one."""
 
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Literal
 
 from binpick_env.config import Backend, SensorPreset
 from binpick_env.options import CellOptions
+from binpick_env.options import evaluated as evaluated
+from binpick_env.options import scenes_of as scenes_of
 from binpick_env.parts.unit import Unit
 
 
@@ -62,15 +64,3 @@ class CellArguments(SceneArguments):
 def _options(arguments: PartArguments, kind: type[PartArguments]) -> CellOptions:
     """Return the values of the fields that ``kind`` declares; commands add others to theirs."""
     return CellOptions(**{field.name: getattr(arguments, field.name) for field in fields(kind)})
-
-
-def evaluated(options: CellOptions) -> dict[str, Any]:
-    """Return options as the fields of an `EvaluationConfig`, which has the camera as a whole."""
-    names = ("part", "unit", "symmetry", "symmetry_tolerance", "density", "bin", "jaw", "sensor", "friction")
-    return {**{name: getattr(options, name) for name in names}, "camera": options.cell().camera}
-
-
-def scenes_of(options: CellOptions) -> dict[str, Any]:
-    """Return options as the fields of a `SceneConfig`, which has the camera as a whole."""
-    names = ("part", "unit", "symmetry", "symmetry_tolerance", "density", "bin", "friction")
-    return {**{name: getattr(options, name) for name in names}, "camera": options.cell().camera}

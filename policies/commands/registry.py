@@ -26,6 +26,7 @@ _PICK, _SEE, _SELECT, _ROOMS, _MEASURE = (
 )
 COMMANDS = (
     _command("pick", _PICK, "pick bins of a part, print success rates with intervals, write a report"),
+    _command("assess", _PICK, "assess a part on one page: perception, picks, what to do about it"),
     _command("compare", _PICK, "compare two runs of pick on the same bins, with paired intervals"),
     _command("generate-scenes", _SEE, "make labelled scenes to train the segmentation on"),
     _command("train-segmentation", _SEE, "train a segmentation network on labelled scenes"),

@@ -1,11 +1,13 @@
 from .clearance import RankSettings as RankSettings
 from .clearance import RankStats as RankStats
+from .clearance import clear_of_floor as clear_of_floor
 from .clearance import clearances as clearances
 from .clearance import rank_grasps as rank_grasps
 from .failed_grasps import FailedGrasps as FailedGrasps
 from .grasps import GraspSet as GraspSet
 from .grasps import GraspSettings as GraspSettings
 from .grasps import flip as flip
+from .grasps import least_width as least_width
 from .grasps import sample_grasps as sample_grasps
 from .grasps import why_no_grasp as why_no_grasp
 from .gripper import GripperModel as GripperModel

@@ -140,6 +140,32 @@ def rank_grasps(
     return sorted(ranked, key=lambda g: -g.score), stats
 
 
+def clear_of_floor(
+    T_floor_part: Floats, grasps: GraspSet, gripper: GripperModel, settings: RankSettings | None = None
+) -> NDArray[np.bool_]:
+    """Tell which grasps pick a lone part off a plane without touching the plane.
+
+    Args:
+        T_floor_part: (4, 4) pose of the part over the plane z = 0 [m].
+        grasps: Grasps on the part.
+        gripper: Points on the gripper's surfaces.
+        settings: Largest tilt of the approach, and the margin; the defaults if None.
+
+    Returns:
+        (G,) whether each grasp is within the largest tilt and clear at some opening.
+    """
+    require_shape("T_floor_part", T_floor_part, (4, 4))
+    settings = settings or RankSettings()
+    down = -(grasps.T_part_grasp[:, :3, 2] @ T_floor_part[2, :3])
+    upright = np.flatnonzero(down >= np.cos(settings.max_tilt))
+    T_floor_grasp = T_floor_part @ grasps.T_part_grasp[upright]
+    placed = _Placed(grasps=grasps.take(upright), T_world_grasp=T_floor_grasp, down=down[upright])
+    opening, _ = _open(HeightMap.plane(), placed, gripper, settings)
+    clear = np.zeros(len(grasps), dtype=np.bool_)
+    clear[upright] = opening >= 0
+    return clear
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Placed:
     """The N grasps on one observed part whose approach is steep enough."""

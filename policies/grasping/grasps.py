@@ -143,12 +143,25 @@ def sample_grasps(
     return GraspSet(**{name: arrays[name] for name in names})
 
 
+def least_width(model: PartModel, settings: GraspSettings | None = None) -> float:
+    """Return the distance between the nearest two opposite faces that a jaw of any stroke could hold [m].
+
+    It is infinite if the part has no two opposite faces.
+
+    Args:
+        model: Any watertight part.
+        settings: Sampling, and the smallest width; the defaults if None.
+    """
+    settings = settings or GraspSettings()
+    widths = settings.min_width, np.inf
+    first, second = opposite_faces(model.mesh, settings.samples, settings.min_cosine, widths, seed=0)
+    return float(np.linalg.norm(second - first, axis=1).min(initial=np.inf))
+
+
 def why_no_grasp(model: PartModel, settings: GraspSettings | None = None, *, jaw: float | None = None) -> str:
     """Return why :func:`sample_grasps` found nothing on a part, as a sentence for an error message."""
     settings = _settings_for(settings, jaw)
-    widths = settings.min_width, np.inf
-    first, second = opposite_faces(model.mesh, settings.samples, settings.min_cosine, widths, seed=0)
-    least = float(np.linalg.norm(second - first, axis=1).min(initial=np.inf))
+    least = least_width(model, settings)
     found = f"the jaw (stroke {1000 * gripper_model(jaw).stroke:.0f} mm) finds no grasp on {model.name!r}: "
     if settings.max_width < least < np.inf:
         return (

@@ -77,6 +77,26 @@ class HeightMap:
         )
         return empty._filled(measured)
 
+    @classmethod
+    def plane(cls, cell: float = 0.002) -> "HeightMap":
+        """Return an endless plane at height 0, whose frame is the world's.
+
+        Args:
+            cell: Edge length of a cell [m].
+        """
+        floor = np.zeros((1, 1))
+        inner = slice(0, 1), slice(0, 1)
+        return cls(
+            T_bin_world=np.eye(4),
+            origin=np.zeros(2),
+            cell=cell,
+            measured=floor,
+            heights=floor,
+            inner=inner,
+            rim=0.0,
+            outside=0.0,
+        )
+
     def rasterise(self, points_a: Floats, T_world_a: Floats | None = None) -> Floats:
         """Return the (X, Y) height of a surface, -inf beside it, pinholes filled.
 

@@ -1,3 +1,5 @@
+from .assessment_report import write_assessment_report as write_assessment_report
+from .assessment_text import assessment_lines as assessment_lines
 from .budget_report import budget_table as budget_table
 from .budget_report import write_budget_report as write_budget_report
 from .comparison_report import comparison_table as comparison_table

@@ -30,8 +30,8 @@ def budget_table(budget: Budget) -> str:
     title = f"{budget.part} · sensor {budget.sensor} · {budget.bins} bins · seed {budget.seed}"
     parts = [
         title,
-        columns([("", *MODES), *_numbers(budget)]),
-        columns([("cost of", *_stages()), *_costs(budget)]),
+        columns([("", *MODES), *number_rows(budget)]),
+        columns([("cost of", *cost_names()), *cost_rows(budget)]),
         NOTE,
     ]
     return "\n\n".join(parts)
@@ -40,23 +40,24 @@ def budget_table(budget: Budget) -> str:
 def write_budget_report(path: Path, budget: Budget) -> None:
     """Write the page; it links to the evaluations' own reports in the folders beside it."""
     part = escape(Path(budget.part).name)
-    rows = [[escape(cell) for cell in row] for row in _numbers(budget)]
+    rows = [[escape(cell) for cell in row] for row in number_rows(budget)]
     rows.append(["picks", *(f"<a href='{mode}/report.html'>report</a>" for mode in MODES)])
-    costs = [[escape(cell) for cell in row] for row in _costs(budget)]
+    costs = [[escape(cell) for cell in row] for row in cost_rows(budget)]
     body = (
         f"<h1>Error budget: {part}</h1><p>{budget.bins} bins · sensor {escape(budget.sensor)} · seed {budget.seed}</p>"
         f"<h2>The same bins three ways</h2><div class='card'>{table(('', *MODES), rows)}</div>"
         f"<h2>What each stage costs</h2><p>{NOTE}</p>"
-        f"<div class='card'>{table(('', *_stages()), costs)}</div>"
+        f"<div class='card'>{table(('', *cost_names()), costs)}</div>"
     )
     write_atomically(path, page(f"binpick: error budget of {part}", body))
 
 
-def _stages() -> list[str]:
+def cost_names() -> list[str]:
+    """Return the names of the stages that cost something, each with the two perceptions that it lies between."""
     return [f"{stage} ({given} - {without})" for stage, (given, without) in COSTS.items()]
 
 
-def _numbers(budget: Budget) -> list[list[str]]:
+def number_rows(budget: Budget) -> list[list[str]]:
     """Return the rows of the evaluations' numbers, with failed attempts by stage."""
     summaries = [budget.modes[mode] for mode in MODES]
     rows = [[name, *(_rate(mode, key, budget.modes[mode]) for mode in MODES)] for name, key in _RATES.items()]
@@ -76,7 +77,8 @@ def _rate(mode: str, key: str, summary: Summary) -> str:
     return GIVEN if key in given_numbers(mode) else percent(getattr(summary, key))
 
 
-def _costs(budget: Budget) -> list[list[str]]:
+def cost_rows(budget: Budget) -> list[list[str]]:
+    """Return the rows of what each of `cost_names` costs, in points of GSR and DR and in picks per hour."""
     return [[name, *(_cost(budget.costs[stage][key], key) for stage in COSTS)] for key, name in _NAMES.items()]
 
 

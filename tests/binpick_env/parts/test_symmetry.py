@@ -8,9 +8,18 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from binpick_env.parts import CATALOGUE, Part, SymmetrySettings, detect_symmetry, load_part, symmetry_error
+from binpick_env.parts import (
+    CATALOGUE,
+    Part,
+    SymmetrySettings,
+    detect_symmetry,
+    load_part,
+    near_symmetry,
+    symmetry_error,
+)
 from binpick_env.parts.surface import SurfaceProbe
 from perception.geometry import make_transform, random_rotation, rotation_about, rotation_angle
+from perception.part import Symmetry
 from tests.binpick_env.parts.part_meshes import ell, naive_distance
 
 seeds = st.integers(0, 2**32 - 1)
@@ -127,6 +136,24 @@ def test_a_near_symmetry_is_said_with_its_error(caplog: pytest.LogCaptureFixture
     assert "deviates by 0.30 mm, the tolerance is 0.20 mm" in caplog.text
     assert "orders above 36 are unsearched" in caplog.text
     assert detect_symmetry(bar, SymmetrySettings(metres=0.0005)).order == 8
+
+
+def test_the_nearest_symmetry_is_found_with_its_angle_and_deviation() -> None:
+    nearly = trimesh.creation.box((0.05, 0.049, 0.02))
+    found = detect_symmetry(nearly)
+    near = near_symmetry(nearly, found)
+    assert near is not None
+    assert near.angle_deg == 90.0
+    np.testing.assert_allclose(np.abs(near.axis), (0, 0, 1), atol=1e-9)
+    assert near.deviation == pytest.approx(0.0005, abs=2e-5)  # half the difference of the sides
+    assert near.deviation > near.tolerance
+    assert near_symmetry(trimesh.creation.box((0.05, 0.03, 0.02)), found) is None
+
+
+def test_what_turns_freely_has_no_near_symmetry() -> None:
+    axis = Symmetry(axis=np.array([0.0, 0.0, 1.0]))
+    for group in (axis, Symmetry(sphere=True)):
+        assert near_symmetry(trimesh.creation.box((0.05, 0.049, 0.02)), group) is None
 
 
 def test_a_tolerance_of_the_parts_own_size_is_refused() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from perception.geometry import make_transform, random_rotation, rotation_about, transform_points
 from perception.part import PartModel
-from policies.grasping.clearance import RankSettings, RankStats, clearances, rank_grasps
+from policies.grasping.clearance import RankSettings, RankStats, clear_of_floor, clearances, rank_grasps
 from policies.grasping.grasps import GraspSettings, sample_grasps
 from policies.grasping.gripper import LEFT, PALM, RIGHT, gripper_model
 from policies.grasping.heightmap import HeightMap
@@ -379,3 +379,16 @@ def test_wrong_shapes_and_cells_are_named(cell, gripper):
 def test_default_weights_add_up_to_one():
     settings = RankSettings()
     assert sum(getattr(settings, name) for name in vars(settings) if name.startswith("weight_")) == pytest.approx(1)
+
+
+def test_a_lone_block_is_picked_off_the_floor_across_its_upright_sides(part, grasps, gripper):
+    T = make_transform(translation=(0.0, 0.0, BLOCK[2] / 2))
+    clear = clear_of_floor(T, grasps, gripper)
+    assert 0 < clear.sum() < len(grasps)
+    kept = grasps.take(np.flatnonzero(clear))
+    assert np.abs(kept.T_part_grasp[:, 2, 1]).max() < np.sin(np.radians(5))  # no finger under the block
+    assert (-kept.T_part_grasp[:, 2, 2]).min() >= np.cos(RankSettings().max_tilt)
+    room = clearances(HeightMap.plane(), T @ gripper.tcp_from_grasp(kept.T_part_grasp, kept.width), kept.width, gripper)
+    assert room.min() > 0
+    sunk = make_transform(translation=(0.0, 0.0, BLOCK[2] / 2 - 0.08))
+    assert not clear_of_floor(sunk, grasps, gripper).any()

@@ -9,7 +9,7 @@ import trimesh
 from perception.geometry import make_transform, random_rotation, rotation_about
 from perception.part import PartModel, Symmetry
 from policies.grasping.antipodal import Solid, close_pads, grasps_on_lines, opposite_faces
-from policies.grasping.grasps import GraspSet, GraspSettings, flip, sample_grasps, why_no_grasp
+from policies.grasping.grasps import GraspSet, GraspSettings, flip, least_width, sample_grasps, why_no_grasp
 from policies.grasping.gripper import gripper_model
 from policies.grasping.outcomes import Grasp
 
@@ -167,6 +167,13 @@ def test_a_part_that_needs_60_mm_says_so_to_a_jaw_of_50_mm():
         "the jaw (stroke 50 mm) finds no grasp on 'cube': it takes at most 43 mm between two opposite faces, "
         "and the nearest two are 60 mm apart"
     )
+
+
+def test_the_nearest_opposite_faces_do_not_depend_on_the_jaw():
+    cube = PartModel.from_mesh("cube", trimesh.creation.box(extents=(0.12, 0.11, 0.1)))
+    assert least_width(cube, FEW) == pytest.approx(0.1)
+    corners = [(0.04, 0.0, 0.0), (-0.02, 0.035, 0.0), (-0.02, -0.035, 0.0), (0.0, 0.0, 0.06)]
+    assert least_width(PartModel.from_mesh("cone", trimesh.convex.convex_hull(corners)), FEW) == np.inf
 
 
 def test_a_jaw_as_wide_as_the_stroke_changes_no_setting():

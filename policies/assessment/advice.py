@@ -1,0 +1,229 @@
+"""What to do about a part: a pure function from what was measured to pieces of advice."""
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from math import ceil, floor, isfinite
+from typing import Literal
+
+from binpick_env.config import GRIPPER_STROKE
+from binpick_env.options import CellOptions
+from perception.metrics.matching import MIN_REGION
+from policies.assessment.findings import Findings
+from policies.assessment.sight import JITTER
+
+AdviceKind = Literal["unit", "mesh", "symmetry", "bin", "camera", "jaw", "train"]
+MIN_POINTS = 5.0 * MIN_REGION  # a part that is visible to a fifth then has the smallest number of points that counts
+LOW_AP = 0.8  # AP under which training pays: networks that were trained on a part reach 0.94 and more
+LOSS = 0.1  # share of the parts that a stage may lose without advice
+LEAST_GRASPABLE = 0.5  # share of drops that must end in a pose that the jaw picks the part from
+_OF_TRAINING = ("part", "unit")  # options that a training knows
+_NOT_SCENES = ("jaw", "hand_eye_mm")  # options that do not change a scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Advice:
+    """One piece of advice.
+
+    Attributes:
+        kind: What is to be changed.
+        text: What to do.
+        because: What was measured that calls for it.
+    """
+
+    kind: AdviceKind
+    text: str
+    because: str
+
+
+def advise(findings: Findings) -> tuple[Advice, ...]:
+    """Return what to do about a part, in the order in which to do it; empty if nothing is to be done.
+
+    What comes first changes what follows: a part in the wrong unit needs no other jaw. Training is advised only once
+    the camera sees enough of the part, since a network is trained for one camera distance.
+
+    Args:
+        findings: Everything that was measured.
+    """
+    pieces = [*_unit(findings), *_mesh(findings), *_symmetry(findings), *_bin(findings)]
+    pieces += _camera(findings)
+    pieces += _jaw(findings)
+    if not any(piece.kind == "camera" for piece in pieces):
+        pieces += _train(findings)
+    return tuple(pieces)
+
+
+def _unit(findings: Findings) -> Iterator[Advice]:
+    part = findings.part
+    if part.other_units:
+        read = ", ".join(f"{1000 * size:.0f} mm in {unit}" for unit, size in part.other_units.items())
+        yield Advice(
+            kind="unit",
+            text=f"Name the unit: --unit {part.unit} if the part is {1000 * part.d_max:.0f} mm long; else --unit "
+            + " or --unit ".join(part.other_units),
+            because=f"{part.unit} was guessed, as the file names no unit; the part would be plausible with {read}, too",
+        )
+
+
+def _mesh(findings: Findings) -> Iterator[Advice]:
+    if findings.part.repairs:
+        yield Advice(
+            kind="mesh",
+            text="Check the mesh against the drawing, or export the part again as one closed solid",
+            because=f"the file was repaired: {'; '.join(findings.part.repairs)}",
+        )
+
+
+def _symmetry(findings: Findings) -> Iterator[Advice]:
+    near = findings.part.near_symmetry
+    if near is not None:
+        tolerance = ceil(1e4 * near.deviation + 0.5) / 1e4
+        yield Advice(
+            kind="symmetry",
+            text=f"If poses turned by {near.angle_deg:.0f}° serve as well: --symmetry-tolerance {tolerance:g}; else "
+            "expect them to be confused",
+            because=f"a turn by {near.angle_deg:.0f}° changes the surface by {1000 * near.deviation:.2f} mm only, and "
+            f"symmetries are taken up to {1000 * near.tolerance:.2f} mm",
+        )
+
+
+def _bin(findings: Findings) -> Iterator[Advice]:
+    facts, picking = findings.bin, findings.picking
+    size = " x ".join(f"{1000 * side:.0f}" for side in facts.inner_size)
+    if not facts.fits:
+        long, middle, _ = findings.part.size
+        yield Advice(
+            kind="bin",
+            text=f"Use a bin whose floor is longer than {1000 * long:.0f} mm and wider than {1000 * middle:.0f} mm",
+            because=f"the part is {1000 * long:.0f} x {1000 * middle:.0f} mm large and does not lie flat in a bin of "
+            f"{size} mm",
+        )
+    elif facts.capacity < facts.wanted:
+        yield Advice(
+            kind="bin",
+            text=f"Use a bin of {facts.wanted / facts.capacity:.1f} times the volume, or fewer parts "
+            f"(--min-parts, --max-parts)",
+            because=f"a bin of {size} mm holds {facts.capacity} of these parts, and {facts.wanted} were to lie in it",
+        )
+    elif picking is not None and picking.losses.picking >= LOSS and _blocked(findings) > picking.failed:
+        yield Advice(
+            kind="bin",
+            text="Use a wider or shallower bin, so that the fingers reach beside the parts",
+            because=f"with true poses {_blocked(findings)} of {picking.parts} parts were left because walls and "
+            "neighbours block the fingers or the arm",
+        )
+
+
+def _blocked(findings: Findings) -> int:
+    """Return the number of parts that were left in spite of true poses for want of room."""
+    left = {} if findings.picking is None else findings.picking.left
+    return left.get("no_clear_approach", 0) + left.get("ik_infeasible", 0)
+
+
+def _camera(findings: Findings) -> Iterator[Advice]:
+    sight, picking = findings.sight, findings.picking
+    least = sight.nearest + JITTER
+    if not sight.whole_bin:
+        yield Advice(
+            kind="camera",
+            text=f"Move the camera away: --camera-distance {ceil(100 * least) / 100:.2f}",
+            because=f"at {sight.distance:g} m it does not see the whole bin, whose rim fills the image at "
+            f"{sight.nearest:.2f} m",
+        )
+    elif sight.points < 1:  # the grey image is overexposed from very near
+        yield Advice(
+            kind="camera",
+            text=f"Move the camera away: --camera-distance {ceil(150 * sight.distance) / 100:.2f}",
+            because=f"at {sight.distance:g} m the image shows no edge of the part",
+        )
+    elif sight.points < MIN_POINTS:
+        yield Advice(
+            kind="camera",
+            text=_closer(findings, MIN_POINTS / sight.points),
+            because=f"a whole part has {sight.points:.0f} boundary points in the image; with {MIN_POINTS:.0f} a part "
+            f"visible to a fifth has the {MIN_REGION} that count",
+        )
+    elif picking is not None and picking.losses.pose >= LOSS and findings.part.near_symmetry is None:
+        yield Advice(
+            kind="camera",
+            text=_closer(findings, 1.5),
+            because=f"true poses deliver {100 * picking.losses.pose:.0f} % more of the parts than poses in true "
+            f"segments, from {sight.points:.0f} boundary points of a whole part",
+        )
+
+
+def _closer(findings: Findings, factor: float) -> str:
+    """Return how to see a part ``factor`` times as large: from nearer if the whole bin stays in the image."""
+    sight = findings.sight
+    wanted = floor(100 * (sight.distance - sight.depth * (1 - 1 / factor))) / 100
+    least = ceil(100 * (sight.nearest + JITTER)) / 100
+    if wanted >= least:
+        return f"Bring the camera nearer: --camera-distance {wanted:.2f}"
+    width, height = (32 * ceil(factor * side / 32) for side in sight.image)
+    text = f"Take a larger image: --width {width} --height {height}"
+    if sight.distance <= least:
+        return text
+    return f"{text}; or use a smaller bin: from nearer than {least:.2f} m the camera does not see all of this one"
+
+
+def _jaw(findings: Findings) -> Iterator[Advice]:
+    grip, picking = findings.grip, findings.picking
+    needed = 1000 * (grip.least_width + grip.stroke - grip.largest_width)
+    if grip.grasps == 0:
+        if grip.whole_stroke_grasps:
+            text = f"Use a wider jaw: --jaw {GRIPPER_STROKE:g} takes the part, with {grip.whole_stroke_grasps} grasps"
+        elif grip.largest_width < grip.least_width and isfinite(grip.least_width):
+            text = f"Use another gripper, whose jaw opens {needed:.0f} mm or more; the 2F-85 opens 85 mm"
+        else:
+            text = (
+                "Use another gripper, such as a suction cup or a magnet: no two faces lie opposite each other in reach"
+            )
+        yield Advice(kind="jaw", text=text, because=grip.reason or "the jaw finds no grasp")
+    elif grip.graspable_share < LEAST_GRASPABLE:
+        yield Advice(
+            kind="jaw",
+            text="Use another jaw: a wider one, or thinner fingers that reach under the part",
+            because=f"{100 * (1 - grip.graspable_share):.0f} % of drops end in a pose from which no grasp picks the "
+            f"part off the floor; the jaw takes widths up to {1000 * grip.largest_width:.0f} mm",
+        )
+    elif picking is not None and picking.losses.picking >= LOSS and picking.failed > _blocked(findings):
+        yield Advice(
+            kind="jaw",
+            text="Use another jaw: more force, or pads that fit the part",
+            because=f"with true poses {picking.failed} of {picking.attempts} attempts failed; the part weighs "
+            f"{1000 * findings.part.mass:.0f} g",
+        )
+
+
+def _train(findings: Findings) -> Iterator[Advice]:
+    seen = findings.perception
+    if seen is None or not seen.ap < LOW_AP:
+        return
+    scene, part = option_words(findings.options), option_words(findings.options, only=_OF_TRAINING)
+    commands = [["binpick", "train-segmentation", *part, "--minutes", "30"]]
+    if set(scene) != set(part):  # a cell of one's own, whose scenes the training does not make itself
+        commands.insert(0, ["binpick", "generate-scenes", *scene, "--count", "300"])
+    again = "Train longer, on more scenes" if seen.training == "own" else "Train the segmentation on the part"
+    yield Advice(
+        kind="train",
+        text=f"{again}: {' && '.join(map(shlex.join, commands))}",
+        because=f"the AP of {seen.weights} ({seen.training}) is {100 * seen.ap:.0f} %; networks that were trained on a "
+        "part reach 94 % and more",
+    )
+
+
+def option_words(options: CellOptions, only: tuple[str, ...] | None = None) -> list[str]:
+    """Return the options of a scene that are not the standard ones as the words of a command line.
+
+    Args:
+        options: Part and cell.
+        only: Names of the options to return; all that change a scene if None.
+    """
+    words = []
+    for field in fields(options):
+        value = getattr(options, field.name)
+        named = field.name not in _NOT_SCENES if only is None else field.name in only
+        if named and (value != field.default or field.name == "part"):
+            values = value if isinstance(value, tuple) else (value,)
+            words += [f"--{field.name.replace('_', '-')}", *(f"{each}" for each in values)]
+    return words

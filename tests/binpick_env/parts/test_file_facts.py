@@ -1,0 +1,57 @@
+"""How a file was read: where its unit came from, how many bodies it holds, what was repaired."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from binpick_env.parts import load_part
+from binpick_env.parts.file_facts import FileFacts
+from binpick_env.parts.mesh_file import read_mesh
+from tests.binpick_env.parts.part_meshes import ell
+
+creation = trimesh.creation
+
+
+def facts_of(path: Path, **options: str) -> FileFacts:
+    facts: FileFacts = read_mesh(path, **options).metadata["facts"]  # type: ignore[arg-type]
+    return facts
+
+
+def test_a_clean_file_has_one_body_and_no_repairs(tmp_path: Path) -> None:
+    ell().export(tmp_path / "ell.stl")
+    part = load_part(tmp_path / "ell.stl", symmetry="none")
+    assert part.file == FileFacts(unit="m", unit_origin="guessed")
+    assert part.unit == "m"
+    assert load_part("tee").file is None
+
+
+def test_a_unit_is_given_named_or_guessed(tmp_path: Path) -> None:
+    creation.box((60, 40, 30)).export(tmp_path / "box.stl")
+    assert facts_of(tmp_path / "box.stl") == FileFacts(unit="mm", unit_origin="guessed")
+    assert facts_of(tmp_path / "box.stl", unit="mm").unit_origin == "given"
+    creation.box((60, 40, 30)).export(tmp_path / "box.3mf")
+    assert facts_of(tmp_path / "box.3mf").unit_origin == "named"
+
+
+def test_united_bodies_are_counted(tmp_path: Path) -> None:
+    pin, head = creation.cylinder(radius=0.006, height=0.06), creation.cylinder(radius=0.015, height=0.012)
+    trimesh.util.concatenate([pin, head]).export(tmp_path / "bolt.stl")
+    assert facts_of(tmp_path / "bolt.stl") == FileFacts(unit="m", unit_origin="guessed", bodies=2)
+
+
+def test_a_closed_hole_is_a_repair_with_the_area_that_it_added(tmp_path: Path) -> None:
+    box = creation.box((0.06, 0.04, 0.03))
+    box.update_faces(~np.isclose(box.triangles[:, :, 2], 0.015).all(axis=1))  # 24 of 108 cm^2
+    box.export(tmp_path / "tub.stl")
+    (repair,) = facts_of(tmp_path / "tub.stl").repairs
+    assert repair == "4 open edges closed, which changed the surface's area by +29 %"
+
+
+def test_a_simplified_mesh_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("binpick_env.parts.mesh_file.MAX_FACES", 200)
+    box = creation.box((0.06, 0.04, 0.03)).subdivide().subdivide().subdivide()
+    box.export(tmp_path / "fine.ply")
+    (repair,) = facts_of(tmp_path / "fine.ply").repairs
+    assert repair.startswith("simplified from 768 to ")
