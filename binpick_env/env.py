@@ -27,7 +27,7 @@ from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
 from binpick_env.options import resolve_cell
-from binpick_env.parts.label import part_label
+from binpick_env.part_limits import check_part
 from binpick_env.parts.part import Part, resolve_part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
@@ -182,6 +182,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         # The cell, what perceives it, and what shows it.
         self.config = resolve_cell(config, camera, **cell)
         self.part = resolve_part(part, unit, symmetry, density, symmetry_tolerance)
+        check_part(self.part, self.config)
         self.workspace: Workspace = self.config.bin.workspace()
         noise = _resolved_noise(pose_noise, self.part, sensor)
         self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads)
@@ -387,4 +388,4 @@ def _resolved_noise(
         return noise
     if noise != "learned":
         raise ValueError(f"pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got {noise!r}")
-    return PerceptionNoise.for_part(part_label(part.source), sensor)
+    return PerceptionNoise.for_part(part.source, sensor)

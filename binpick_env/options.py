@@ -75,22 +75,25 @@ class CellOptions:
         self.cell()  # what the cell's own settings refuse: jaw, image size, backend
 
     def load_part(self) -> "Part":
-        """Load the part.
+        """Load the part. The log says if it fits no jaw.
 
         Raises:
-            ValueError: There is no such part, or its file does not hold a watertight mesh of a part's size.
+            ValueError: There is no such part, its file does not hold a watertight mesh, or its size is not the cell's.
             FileNotFoundError: There is no such file.
         """
         # Here, since command lines read the options and must not load the mesh libraries for that.
+        from binpick_env.part_limits import check_part
         from binpick_env.parts.part import load_part
 
-        return load_part(
+        part = load_part(
             self.part,
             unit=self.unit,
             symmetry=self.symmetry,
             density=self.density,
             symmetry_tolerance=self.symmetry_tolerance,
         )
+        check_part(part, self.cell())
+        return part
 
     def cell(self) -> CellConfig:
         """Return the cell's settings."""

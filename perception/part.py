@@ -15,6 +15,7 @@ from perception.winding import outward, signed_volume
 
 _MOST_PAIRS = 4000  # corners of a hull up to which all distances are computed at once
 _LEAST_THICKNESS = 1e-5  # share of the largest extent; mean thickness below which a mesh is a sheet
+_SWEEPS = 4  # steps from a point to the one farthest from it
 _ROUNDING = 1e-9  # share of the largest extent; far more than squared distances are rounded by
 
 
@@ -155,7 +156,7 @@ def require_volume(name: str, mesh: trimesh.Trimesh) -> None:
 
 def diameter(points: Floats) -> float:
     """Return the largest distance between two of (N, 3) points, exactly; it lies between vertices of the hull."""
-    hull = points[ConvexHull(points).vertices]
+    hull = _far_points(points[ConvexHull(points).vertices])
     if len(hull) <= _MOST_PAIRS:
         return float(pdist(hull).max())
     # Squared distances by matrix products, which are rounded, leave few pairs to measure exactly.
@@ -174,6 +175,18 @@ def diameter(points: Floats) -> float:
         if len(first):
             largest = max(largest, float(np.linalg.norm(hull[a + first] - hull[second], axis=-1).max()))
     return largest
+
+
+def _far_points(points: Floats) -> Floats:
+    """Return the points that may be an end of the largest distance: those far from the middle of a large one."""
+    first = points[np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1))]
+    for _ in range(_SWEEPS):
+        second = points[np.argmax(np.linalg.norm(points - first, axis=1))]
+        first, last = second, first
+    apart = float(np.linalg.norm(first - last))
+    away = np.linalg.norm(points - (first + last) / 2, axis=1)
+    far: Floats = points[away + away.max() >= (1 - _ROUNDING) * apart]
+    return far
 
 
 def _spread_rotations(count: int) -> Floats:

@@ -5,11 +5,14 @@ Shapes: V bins, Q quantiles.
 """
 
 import json
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from binpick_env.parts.label import part_label
 
 SHIPPED = Path(__file__).resolve().parent / "noise"
 NOISE_VERSION = 1
@@ -155,15 +158,19 @@ class PerceptionNoise:
     def for_part(cls, part: str, sensor: str = "good") -> "PerceptionNoise":
         """Return the shipped noise model of a catalogue part under a sensor preset.
 
+        Args:
+            part: Name of the part, or path of its file, of which no model is shipped.
+            sensor: Name of the sensor preset.
+
         Raises:
             NoiseError: There is none; the text names the command that makes one.
         """
-        path = SHIPPED / f"{part}_{sensor}.json"
+        path = SHIPPED / f"{part_label(part)}_{sensor}.json"
         if not path.exists():
             known = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.json"))) or "none"
             raise NoiseError(
                 f"there is no noise model of {part!r} under sensor {sensor!r} (there are: {known}); "
-                f"fit one with binpick fit-noise --part {part} --sensor {sensor}"
+                f"fit one with binpick fit-noise --part {shlex.quote(part)} --sensor {sensor}"
             )
         return cls.load(path)
 

@@ -1,4 +1,4 @@
-"""Read a part's mesh from a file: bodies, unit, repair, and what the cell's camera, bin and jaw cannot do with it."""
+"""Read a part's mesh from a file: bodies, unit, repair, simplification, and the sizes that perception takes."""
 
 import logging
 from pathlib import Path
@@ -14,15 +14,15 @@ from binpick_env.parts.simplification import simplified
 from binpick_env.parts.surface import hausdorff_distance
 from binpick_env.parts.unit import METRES, Unit, check_unit
 from perception.part import diameter, require_volume
+from perception.size import D_MAX as PERCEIVED
 from perception.size import PLAUSIBLE
 from perception.winding import outward
 
 log = logging.getLogger(__name__)
-D_MAX = (0.02, 0.2)  # range of d_max [m]: below, the camera sees too few points; above, no bin of the cell holds a pile
+D_MAX = (0.02, 0.2)  # range of d_max in the standard cell [m]: below, the camera sees too few points; above, no pile
 LEAST_THICKNESS = 0.0002  # least thickness [m]: contacts of thinner parts are not resolved by the physics
 MAX_FACES = 200_000  # number of faces above which a mesh is simplified: ray casting would take minutes
 DEVIATION = 0.001  # largest deviation of a simplified mesh, as a share of its largest extent
-JAW = 0.075  # widest side that the 2F-85 closes on [m]: 85 mm less 5 mm on each side for the pose's error
 
 
 def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
@@ -35,11 +35,12 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
 
     Returns:
         The mesh. It is repaired where that is faithful, its bodies are united, and it is simplified above `MAX_FACES`;
-        the log says so. Its metadata holds the file's ``unit``, and under ``facts`` how it was read (`FileFacts`).
+        the log says so. Its metadata holds the file's ``unit``, the ``sides`` of the least bounding box [m], and under
+        ``facts`` how the file was read (`FileFacts`).
 
     Raises:
         ValueError: The file cannot be read, is empty or open, its bodies are apart, its unit is unclear, or the part is
-            too large, too small or too thin for the cell.
+            too large or too small for perception, or too thin for the simulation.
         FileNotFoundError: There is no such file.
     """
     meshes, named = read_bodies(path)
@@ -66,13 +67,7 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
         raise ValueError(
             f"{path} is {1e3 * sides[0]:.3g} mm thick; the cell simulates parts from {1e3 * LEAST_THICKNESS:g} mm on"
         )
-    if sides[0] > JAW:
-        log.warning(
-            "no side of %s is under %.0f mm (the smallest: %.0f mm): the jaw cannot grasp it",
-            path,
-            JAW * 1e3,
-            sides[0] * 1e3,
-        )
+    mesh.metadata["sides"] = tuple(float(side) for side in sides)
     return mesh
 
 
@@ -85,11 +80,10 @@ def _require_solid(mesh: trimesh.Trimesh, path: Path) -> None:
 
 def _require_size(path: Path, size: float, read_as: str) -> None:
     metres = size * METRES[read_as]
-    if D_MAX[0] <= metres <= D_MAX[1]:
+    if PERCEIVED[0] <= metres <= PERCEIVED[1]:
         return
-    cannot = "the camera sees too few points on a smaller one" if metres < D_MAX[0] else "no bin holds a pile of them"
     raise ValueError(
-        f"the largest diameter of {path} must be {D_MAX[0]} to {D_MAX[1]} m in this cell ({cannot}), got "
+        f"the largest diameter of {path} must be {PERCEIVED[0]} to {PERCEIVED[1]:g} m, got "
         f"{metres:.4g} m ({size:.4g} in the file's unit, taken as {read_as}); "
         f"--unit, in Python unit=, names another, {_readings(size)}"
     )

@@ -38,6 +38,7 @@ class Part:
         source: Name of a catalogue part or a generated part, or absolute path of the file.
         unit: Unit of the file's coordinates, given or guessed; "m" for a part without a file.
         file: How the file was read; None for a part without a file.
+        sides: Sides of the least bounding box, ascending [m]; empty for a part without a file.
     """
 
     model: PartModel
@@ -48,6 +49,7 @@ class Part:
     source: str
     unit: str = "m"
     file: FileFacts | None = None
+    sides: tuple[float, ...] = ()
 
 
 def load_part(
@@ -170,7 +172,8 @@ def _file_part(path: Path, unit: Unit | None, symmetry: Symmetry | SymmetrySetti
     mesh.apply_translation(-mesh.center_mass)
     group = symmetry if isinstance(symmetry, Symmetry) else detect_symmetry(mesh, symmetry)
     drawn = Design(name=path.stem, mesh=mesh, pieces=convex_pieces(mesh), density=density, symmetry=group)
-    return replace(_assemble(drawn, source=str(path.resolve())), unit=facts.unit, file=facts)
+    part = _assemble(drawn, source=str(path.resolve()))
+    return replace(part, unit=facts.unit, file=facts, sides=mesh.metadata["sides"])
 
 
 def _group(symmetry: SymmetryChoice) -> Symmetry:

@@ -2,9 +2,50 @@
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from perception.geometry import Floats
 from perception.pose.model._pair_kernels import Ints
+
+Bools = NDArray[np.bool_]
+
+
+@njit(cache=True, nogil=True)
+def facing(normals: Floats, corners: Floats, eye: Floats, least: float) -> Bools:
+    """Return (F,) whether the camera is higher than ``least`` over each face's plane.
+
+    Args:
+        normals: (F, 3) unit normals.
+        corners: (F, 3) a corner of each face [m].
+        eye: (4,) homogeneous position of the camera [m].
+        least: Height [m].
+    """
+    out = np.empty(len(normals), dtype=np.bool_)
+    for f in range(len(normals)):
+        height = 0.0
+        for i in range(3):
+            height += normals[f, i] * (eye[i] - eye[3] * corners[f, i])
+        out[f] = height > least
+    return out
+
+
+@njit(cache=True, nogil=True)
+def bounding(front: Bools, faces: Ints, crease: Bools) -> Ints:
+    """Return the ascending indices of the edges with one face in front, or two that meet in a crease.
+
+    Args:
+        front: (F,) whether each face is turned to the camera.
+        faces: (S, 2) faces of each edge.
+        crease: (S,) whether each edge is a crease.
+    """
+    out = np.empty(len(faces), dtype=np.int64)
+    count = 0
+    for s in range(len(faces)):
+        one, other = front[faces[s, 0]], front[faces[s, 1]]
+        if one != other or (one and crease[s]):
+            out[count] = s
+            count += 1
+    return out[:count]
 
 
 @njit(cache=True, nogil=True)

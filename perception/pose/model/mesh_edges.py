@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from perception.geometry import Floats
-from perception.pose.model._edge_kernels import scatter
+from perception.pose.model._edge_kernels import bounding, facing, scatter
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -105,15 +105,15 @@ def seen_edges(mesh: trimesh.Trimesh, samples: EdgeSamples, eye: Floats, limits:
         eye: (4,) homogeneous position of the camera, part frame [m]; the last entry is 0 for a parallel view.
         limits: Definition of an edge.
     """
-    front = _facing(mesh, eye)[samples.faces]
-    one, both = front[:, 0] != front[:, 1], front[:, 0] & front[:, 1]
-    chosen = np.nonzero((both & samples.crease) | one)[0]
+    facing_eye = _facing(mesh, eye)
+    chosen = bounding(facing_eye, samples.faces, samples.crease)
     towards = towards_eye(samples.points[chosen], eye)
     lifted = samples.points[chosen] + LIFT * limits.diameter * samples.outward[chosen]
     free = ~_blocked(mesh, lifted, towards)
     chosen, towards = chosen[free], towards[free]
-    ending = one[chosen]
-    near = front[chosen[ending], 1].astype(np.int64)
+    front = facing_eye[samples.faces[chosen]]
+    ending = front[:, 0] != front[:, 1]
+    near = front[ending, 1].astype(np.int64)
     kept = ~ending
     kept[ending] = _stands_out(mesh, samples, chosen[ending], near, towards[ending], limits)
     seen: Ints = chosen[kept]
@@ -175,11 +175,9 @@ def chain_tangents(samples: EdgeSamples, chosen: Ints, radius: float) -> Floats:
 def _facing(mesh: trimesh.Trimesh, eye: Floats) -> Bools:
     """Return (F,) whether each face is turned to the camera."""
     # The height of the camera over a face's plane is the same for all triangles of the plane, so they always agree.
-    corner = mesh.triangles[:, 0]
-    height = np.einsum("fi,fi->f", mesh.face_normals, eye[:3] - eye[3] * corner)
-    reach = np.linalg.norm(eye[:3] - eye[3] * mesh.bounds.mean(axis=0))
-    facing: Bools = height > EDGE_ON * reach
-    return facing
+    reach = float(np.linalg.norm(eye[:3] - eye[3] * mesh.bounds.mean(axis=0)))
+    turned: Bools = facing(mesh.face_normals, mesh.triangles[:, 0], eye, EDGE_ON * reach)
+    return turned
 
 
 def _blocked(mesh: trimesh.Trimesh, origins: Floats, directions: Floats) -> Bools:

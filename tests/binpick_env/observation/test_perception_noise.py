@@ -218,6 +218,8 @@ def test_a_missing_or_damaged_file_is_named(tmp_path: Path) -> None:
 def test_a_part_without_a_model_names_the_command() -> None:
     with pytest.raises(NoiseError, match=r"binpick fit-noise --part spoon --sensor harsh"):
         PerceptionNoise.for_part("spoon", "harsh")
+    with pytest.raises(NoiseError, match=r"fit-noise --part '/parts/my spoon\.stl' --sensor good"):
+        PerceptionNoise.for_part("/parts/my spoon.stl")
     with pytest.raises(NoiseError, match=r"of .tee. under sensor .none. .there are"):
         BinPickEnv("tee", num_parts=1, perception="oracle", sensor="none", pose_noise="learned")
     misspelt: Any = "lerned"

@@ -105,16 +105,6 @@ def test_a_small_hole_is_closed_with_a_warning(save: Callable[..., Path], caplog
     assert "was not watertight" in caplog.text
 
 
-def test_a_part_too_wide_for_the_jaw_is_said(save: Callable[..., Path], caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING):
-        load_part(save(creation.box((0.08, 0.081, 0.082))), symmetry="none")
-    assert "no side of" in caplog.text
-    assert "is under 75 mm (the smallest: 80 mm): the jaw cannot grasp it" in caplog.text
-    caplog.clear()
-    load_part(save(creation.box((0.07, 0.081, 0.082)), "narrow.stl"), symmetry="none")
-    assert "the jaw" not in caplog.text
-
-
 # --- what is refused ---
 
 
@@ -179,10 +169,17 @@ def test_an_unclear_unit_lists_the_readings(save: Callable[..., Path]) -> None:
     assert load_part(path, unit="inch").model.d_max == pytest.approx(3 * 0.0254, rel=1e-5)
 
 
-@pytest.mark.parametrize("size", [0.010, 0.130])
+@pytest.mark.parametrize("size", [0.0015, 0.7])
 def test_a_part_too_small_or_too_large(save: Callable[..., Path], size: float) -> None:
-    with pytest.raises(ValueError, match=r"largest diameter of .* must be 0.02 to 0.2 m in this cell .*, got 0\.\d+ m"):
-        load_part(save(creation.box((size, size, size))))
+    with pytest.raises(ValueError, match=r"largest diameter of .* must be 0.003 to 1 m, got \d\.\d+ m"):
+        load_part(save(creation.box((size, size, size))), unit="m")
+
+
+@pytest.mark.parametrize("size", [0.003, 0.5])
+def test_sizes_beyond_the_standard_cell_are_loaded(save: Callable[..., Path], size: float) -> None:
+    part = load_part(save(creation.box((size, size, size))), unit="m", symmetry="none")
+    assert part.model.d_max == pytest.approx(size * np.sqrt(3))
+    assert part.sides == pytest.approx((size, size, size))
 
 
 @pytest.mark.parametrize("density", [0.0, -1.0, np.nan, np.inf, 1e6])

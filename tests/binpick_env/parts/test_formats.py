@@ -251,7 +251,7 @@ def test_a_foil_is_refused_with_its_thickness(save: Save) -> None:
 @pytest.mark.parametrize("size", [1e-6, 10.0])
 def test_parts_of_1_um_and_10_m(save: Save, size: float) -> None:
     path = save(creation.box((size, size, size)), "part.ply")
-    with pytest.raises(ValueError, match=r"must be 0\.02 to 0\.2 m in this cell"):
+    with pytest.raises(ValueError, match=r"must be 0\.003 to 1 m, got .* --unit, in Python unit=, names another"):
         read_mesh(path, unit="m")
 
 

@@ -1,0 +1,63 @@
+"""What the cell says of a part from a file that its bin or its jaw cannot take."""
+
+import logging
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from binpick_env.config import BinConfig
+from binpick_env.env import BinPickEnv
+from binpick_env.options import CellOptions
+from binpick_env.part_limits import largest_d_max
+from binpick_env.parts import load_part
+
+
+def block(folder: Path, *sides: float) -> str:
+    path = folder / "block.ply"
+    trimesh.creation.box(sides).export(path)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [
+        (
+            0.010,
+            r"must be 0.02 to 0.2 m in this cell \(the camera sees too few points .*\), got 0.0173",
+        ),
+        (
+            0.130,
+            r"\(no pile of larger ones lies in a bin of 360 x 260 x 120 mm\), got 0.2252 m, read as m; --unit",
+        ),
+    ],
+)
+def test_a_part_too_small_or_too_large_is_refused(tmp_path: Path, cache: Path, size: float, message: str) -> None:
+    path = block(tmp_path, size, size, size)
+    with pytest.raises(ValueError, match=message):
+        CellOptions(part=path, unit="m", symmetry="none").load_part()
+    with pytest.raises(ValueError, match=message):
+        BinPickEnv(load_part(path, unit="m", symmetry="none"), perception="oracle")
+
+
+def test_the_largest_part_follows_the_bin(tmp_path: Path, cache: Path) -> None:
+    options = {"part": block(tmp_path, 0.13, 0.13, 0.13), "unit": "m", "symmetry": "none"}
+    assert CellOptions(**options, bin=(0.4, 0.32, 0.2)).load_part().model.d_max == pytest.approx(0.2252, rel=1e-3)
+    with pytest.raises(ValueError, match=r"must be 0.02 to 0.154 m in this cell .* in a bin of 300 x 200 x 100 mm"):
+        CellOptions(**options, bin=(0.3, 0.2, 0.1)).load_part()
+    assert largest_d_max(BinConfig()) == 0.2
+
+
+@pytest.mark.parametrize(
+    ("side", "jaw", "widest"), [(0.080, None, 75), (0.070, None, None), (0.070, 0.06, 50), (0.049, 0.06, None)]
+)
+def test_a_part_too_wide_for_the_jaw_is_said_once(
+    tmp_path: Path, cache: Path, caplog: pytest.LogCaptureFixture, side: float, jaw: float | None, widest: int | None
+) -> None:
+    options = CellOptions(part=block(tmp_path, side, side + 0.001, side + 0.002), symmetry="none", jaw=jaw)
+    with caplog.at_level(logging.WARNING):
+        options.load_part()
+        options.load_part()
+    text = f"is under {widest} mm (the smallest: {1000 * side:g} mm): the jaw cannot grasp it"
+    assert caplog.text.count(text) == (widest is not None)
+    assert caplog.text.count("the jaw") == (widest is not None)
