@@ -128,7 +128,7 @@ def check_generate_scenes(line: Line) -> None:
 
 
 def check_train_segmentation(line: Line) -> None:
-    kept = {"weights.safetensors", "weights.json", "log.jsonl", "checkpoint.safetensors"}
+    kept = {"weights.safetensors", "weights.json", "log.jsonl", "checkpoint.safetensors", "ap.svg"}
     names = {path.name for path in line.out.iterdir()}
     assert kept <= names, names
     assert any(name.startswith("events.out.tfevents") for path in line.out.rglob("*") if (name := path.name))
@@ -138,6 +138,9 @@ def check_train_segmentation(line: Line) -> None:
     assert found.training == "own"
     record = load_record(found.path)
     assert record["steps"] >= 1
+    assert record["initial"]["parts"] == load_record(SHIPPED / "shared.safetensors")["parts"]
+    assert [source["scenes"] for source in record["trained_on"]] == [1]
+    assert ("scene_minutes" in record) == ("making scenes in" in line.shown) == (line.args.scenes == ())
 
 
 def check_evaluate_segmentation(line: Line) -> None:
@@ -233,7 +236,8 @@ TINY = {
     "train-segmentation": Tiny(
         options={
             "--minutes": 0.001,
-            "--initial": SHIPPED / "shared.safetensors",
+            "--count": 2,
+            "--workers": 1,
             "--held-out": 1,
             "--batch": 1,
             "--threads": 1,

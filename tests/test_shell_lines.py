@@ -26,7 +26,7 @@ DEPEND_ON_RESULTS = (
 MAKEFILE = (ROOT / "Makefile").read_text()
 ALTERNATIVES = {"docs/howto/rooms.md"}  # its blocks are two ways to the same files
 NEEDS = {  # commands that a page asks for in its text, or whose place the user's own files take
-    "docs/tutorials/engineer.md": command_lines(ROOT / "docs" / "howto" / "train_segmentation.md")[:2],
+    "docs/tutorials/engineer.md": command_lines(ROOT / "docs" / "howto" / "train_segmentation.md")[:1],
     "docs/howto/watch.md": [
         ["pick", "--bins", "1", "--perception", "oracle", "--out", "runs/before"],
         ["pick", "--bins", "1", "--perception", "gt_masks", "--out", "runs/after"],

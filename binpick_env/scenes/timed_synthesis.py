@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -102,15 +103,14 @@ def make_scenes(
         return making
 
     so_far(done=False)
-    scenes = generate_scenes(config, budget.most, folder, workers)
-    for count, _ in enumerate(scenes, 1):
-        making = so_far(done=False)
-        over = budget.seconds is not None and making.seconds >= budget.seconds
-        if count == budget.most or (over and count >= budget.least):
-            scenes.close()  # type: ignore[attr-defined]  # a generator: workers stop
-            yield count, so_far(done=True)
-            return
-        yield count, making
+    with closing(generate_scenes(config, budget.most, folder, workers)) as scenes:  # type: ignore[type-var]
+        for count, _ in enumerate(scenes, 1):
+            making = so_far(done=False)
+            over = budget.seconds is not None and making.seconds >= budget.seconds
+            if count == budget.most or (over and count >= budget.least):
+                break
+            yield count, making
+    yield count, so_far(done=True)
 
 
 def _require_same(config: SceneConfig, folder: Path) -> None:
