@@ -115,11 +115,14 @@ def assess(config: AssessmentConfig, job: AssessmentJob) -> AssessmentRun:
     scores: Sequence[PoseSceneScore] = ()
     records: Records = {}
     budget = None
-    with clock.stage("scenes", config.scenes):
-        try:
-            findings, scores = _perceive(config, part, findings, job)
-        except SettleError as error:
-            findings = replace(findings, not_perceived=str(error), not_picked=str(error))
+    if (reason := _why_no_scene(findings)) is not None:
+        findings = replace(findings, not_perceived=reason, not_picked=reason)
+    else:
+        with clock.stage("scenes", config.scenes):
+            try:
+                findings, scores = _perceive(config, part, findings, job)
+            except SettleError as error:
+                findings = replace(findings, not_perceived=str(error), not_picked=str(error))
     if findings.grip.reason is not None:
         findings = replace(findings, not_picked=findings.grip.reason)
     if findings.not_picked is None:
@@ -177,6 +180,15 @@ class _Clock:
         finally:
             self._progress.end()
         self.seconds[name] = round(time.perf_counter() - start, 2)
+
+
+def _why_no_scene(findings: Findings) -> str | None:
+    """Return why no scene can be made of a part; None if one can."""
+    size, d_max = findings.bin.inner_size, findings.part.d_max
+    if d_max <= np.linalg.norm(size):
+        return None
+    sides = " x ".join(f"{1000 * side:.0f}" for side in size)
+    return f"a part of d_max {1000 * d_max:.0f} mm does not fit into a bin of {sides} mm"
 
 
 def _perceive(

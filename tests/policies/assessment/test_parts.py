@@ -111,7 +111,7 @@ def test_a_bin_out_of_view_needs_a_camera_farther_away(assessed: Assessed) -> No
 
 
 def test_a_part_wider_than_the_jaw_opens_needs_another_jaw(assessed: Assessed) -> None:
-    findings = assessed(box((100, 95, 90)))
+    findings = assessed(box((120, 105, 90)))
     piece = only(findings)
     assert piece.kind == "jaw"
     assert "opens 97 mm or more" in piece.text

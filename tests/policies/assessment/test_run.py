@@ -1,15 +1,18 @@
 """Assessments of small parts from end to end, with one scene of two parts."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
 import trimesh
 
+from binpick_env.cell.settle import SettleError
 from binpick_env.options import CellOptions
 from perception.segmentation import weights
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.weights import GENERAL, save_network
+from policies.assessment import run as assessment_run
 from policies.assessment.assessment import save_assessment
 from policies.assessment.config import AssessmentConfig
 from policies.assessment.run import AssessmentJob, AssessmentRun, Progress, assess
@@ -44,7 +47,7 @@ def assessed(folder: Path, sides: tuple[float, float, float], progress: Progress
 
 def test_a_part_that_cannot_be_held_is_assessed_for_perception(tmp_path: Path) -> None:
     told = Told()
-    run = assessed(tmp_path, (110, 95, 90), told)
+    run = assessed(tmp_path, (120, 105, 90), told)
     findings = run.assessment.findings
     assert told.stages == [("part", 4), ("scenes", 1)]
     assert told.steps == {"part": 4, "scenes": 1}
@@ -62,16 +65,28 @@ def test_a_part_that_cannot_be_held_is_assessed_for_perception(tmp_path: Path) -
     save_assessment(tmp_path / "numbers.json", run.assessment)
 
 
-def test_a_bin_that_no_part_comes_to_rest_in_leaves_the_part_and_the_advice(tmp_path: Path) -> None:
-    run = assessed(tmp_path, (150, 40, 25), Told(), bin=(0.08, 0.08, 0.08))
+def test_a_bin_that_the_part_does_not_fit_into_leaves_the_part_and_the_advice(tmp_path: Path) -> None:
+    told = Told()
+    run = assessed(tmp_path, (150, 40, 25), told, bin=(0.08, 0.08, 0.08))
     findings = run.assessment.findings
+    assert told.stages == [("part", 4)]
     assert findings.perception is None
     assert findings.picking is None
-    assert "do not come to rest in a bin" in (findings.not_perceived or "")
+    assert findings.not_perceived == "a part of d_max 157 mm does not fit into a bin of 80 x 80 x 80 mm"
     assert findings.not_picked == findings.not_perceived
     assert [piece.kind for piece in run.assessment.advice] == ["bin"]
     write_assessment_report(tmp_path / "report.html", run, tmp_path / "out")
     assert "Perception was not run" in (tmp_path / "report.html").read_text()
+
+
+def test_a_pile_that_does_not_come_to_rest_is_a_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object, **__: object) -> Iterator[int]:
+        yield from ()
+        raise SettleError("2 parts do not come to rest")
+
+    monkeypatch.setattr(assessment_run, "evaluate_poses", never)
+    findings = assessed(tmp_path, (80, 40, 25), Told()).assessment.findings
+    assert findings.not_perceived == findings.not_picked == "2 parts do not come to rest"
 
 
 def test_a_part_that_the_network_does_not_separate_needs_training(
