@@ -1,5 +1,7 @@
 """JIT warm-up: a small capture for the first calls of the kernels, which compile or load them."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
@@ -13,6 +15,9 @@ from perception.geometry import Floats, make_transform, quat_from_matrix, rotati
 from perception.part import PartModel
 
 _CAMERA = CameraConfig(width=640, height=480)
+_LEAST = (
+    0.06  # d_max below which the camera magnifies [m], so that a small part is as long in the image as one of 0.06 m
+)
 
 
 def warm_up_capture(part: PartModel, workspace: Workspace) -> LabelledCapture:
@@ -30,7 +35,8 @@ def warm_up_capture(part: PartModel, workspace: Workspace) -> LabelledCapture:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     instances = np.arange(model.ngeom) - 1  # the floor comes first
-    capture = DepthCamera(model, _CAMERA, workspace, instances, threads=1).capture(data, np.random.default_rng(0))
+    camera = replace(_CAMERA, focal=_CAMERA.focal * max(1.0, _LEAST / part.d_max))
+    capture = DepthCamera(model, camera, workspace, instances, threads=1).capture(data, np.random.default_rng(0))
     return LabelledCapture(
         capture=capture,
         workspace=workspace,

@@ -81,6 +81,14 @@ def test_the_warm_up_takes_any_part_in_any_bin() -> None:
     np.testing.assert_array_equal(warm_up_capture(large, view.workspace).capture.frame.depth, view.capture.frame.depth)
 
 
+def test_a_small_part_is_as_long_in_the_warm_up_as_one_of_60_mm() -> None:
+    """Segmentation refuses parts that are too short in the image, which a small part is in a small image."""
+    cubes = [PartModel.from_mesh("cube", trimesh.creation.box((side,) * 3)) for side in (0.01, 0.035)]
+    views = [warm_up_capture(cube, WORKSPACE) for cube in cubes]
+    widths = [np.ptp(np.flatnonzero((view.capture.instance_ids == 0).any(axis=0))) for view in views]
+    assert widths[0] == pytest.approx(widths[1], rel=0.1)
+
+
 def test_only_the_first_perceiver_of_each_mode_warms_up(monkeypatch: pytest.MonkeyPatch) -> None:
     captures: list[LabelledCapture] = []
 
