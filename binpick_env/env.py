@@ -102,7 +102,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     | `height` | `None` | height of the image [px]; 960 unless given |
     | `hand_eye_mm` | `None` | standard deviation per axis of the error of the camera's reported position [mm]; 0 unless given |
     | `camera` | `None` | a `CameraConfig`, in place of the four options before |
-    | `pose_noise` | `None` | errors of the oracle's poses: a `PoseNoise`, a `PerceptionNoise`, or `"learned"` for those of the learned perceiver on this part and sensor |
+    | `pose_noise` | `None` | errors of the oracle's poses: a `PoseNoise`, a `PerceptionNoise`, or `"learned"` for those of the learned perceiver on this part or parts like it, under this sensor |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
     | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts, camera, in place of the options `bin` to `hand_eye_mm` |
     | `threads` | `None` | number of threads of the ray caster, and of torch and OpenCV in perception; all cores unless given |
@@ -184,7 +184,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         self.part = resolve_part(part, unit, symmetry, density, symmetry_tolerance)
         check_part(self.part, self.config)
         self.workspace: Workspace = self.config.bin.workspace()
-        noise = _resolved_noise(pose_noise, self.part, sensor)
+        noise = _resolved_noise(pose_noise, self.part, sensor, self.config.camera)
         self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads)
         self.simulation = Simulation(self.config, self.part, self._num_parts[1])
         geoms = self.simulation.part_of_geom
@@ -381,11 +381,11 @@ def _checked_range(num_parts: int | tuple[int, int]) -> tuple[int, int]:
 
 
 def _resolved_noise(
-    noise: PoseNoise | PerceptionNoise | str | None, part: Part, sensor: str
+    noise: PoseNoise | PerceptionNoise | str | None, part: Part, sensor: str, camera: CameraConfig
 ) -> PoseNoise | PerceptionNoise | None:
     """Return the oracle's errors; ``"learned"`` stands for those of the learned perceiver on this part and sensor."""
     if not isinstance(noise, str):
         return noise
     if noise != "learned":
         raise ValueError(f"pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got {noise!r}")
-    return PerceptionNoise.for_part(part.source, sensor)
+    return PerceptionNoise.for_part(part, sensor, camera)

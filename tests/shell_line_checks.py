@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from binpick_env.observation import GeneralNoise
 from binpick_env.parts import load_part
 from perception.s3dis.presets import ROWS
 from perception.segmentation.scene import BoundaryScene
@@ -181,6 +182,15 @@ def check_evaluate_selector(line: Line) -> None:
     assert "hindsight (bound)" in line.shown
 
 
+def check_fit_noise(line: Line) -> None:
+    noise = GeneralNoise.load(line.folder / line.args.json)
+    assert noise.provenance["bins"] == line.args.bins == 1
+    assert len(noise.provenance["parts"]) == 1
+    assert "rates on parts left out of the fit" in line.shown
+    assert f"kept in {line.args.json}" in line.shown
+    assert len(list(line.out.glob("bin_*.json"))) == 1
+
+
 def check_synthesize(line: Line) -> None:
     assert f"{line.args.rooms} rooms in {line.args.out}" in line.shown
     rooms = list((line.folder / line.args.out).glob("Area_*/*/Annotations"))
@@ -256,6 +266,8 @@ TINY = {
         check=check_train_selector,
     ),
     "evaluate-selector": Tiny(options=BINS, check=check_evaluate_selector),
+    # In the full image, which a small generated part needs.
+    "fit-noise": Tiny(options={"--bins": 1, "--min-parts": 4, "--max-parts": 4}, check=check_fit_noise),
     "s3dis synthesize": Tiny(options={"--rooms": 6, "--density": 15, "--workers": 1}, check=check_synthesize),
     "s3dis prepare": Tiny(options={"--workers": 1}, check=check_prepare),
     "s3dis train": Tiny(options={**NETWORK, "--threads": 1}, check=check_train_row),

@@ -5,7 +5,9 @@ from .noisy_oracle import NoisyOraclePerceiver as NoisyOraclePerceiver
 from .observed_candidates import ObservedCandidates as ObservedCandidates
 from .oracle import OraclePerceiver as OraclePerceiver
 from .oracle import PoseNoise as PoseNoise
+from .part_class import PartClass as PartClass
 from .perceiver import Perceiver as Perceiver
+from .perception_noise import GeneralNoise as GeneralNoise
 from .perception_noise import NoiseError as NoiseError
 from .perception_noise import PerceptionNoise as PerceptionNoise
 from .pixel_perceiver import PixelPerceiver as PixelPerceiver

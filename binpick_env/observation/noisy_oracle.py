@@ -30,19 +30,15 @@ class NoisyOraclePerceiver:
         return ObservedCandidates(candidates=sorted(candidates, key=lambda candidate: -candidate.score))
 
     def _candidate(self, labelled: LabelledCapture, i: int, rng: np.random.Generator) -> PoseCandidate | None:
-        fraction = float(labelled.visible_fractions[i])
-        noise = self._noise.bin_of(fraction)
-        if rng.random() >= noise.offered:
+        drawn = self._noise.draw(float(labelled.visible_fractions[i]), rng)
+        if drawn is None:
             return None
-        spread = self._noise.wrong if rng.random() < noise.wrong else noise.spread
-        translation, rotation, score = spread.draw(rng)
-        visible = fraction + noise.visible_bias + noise.visible_sigma * rng.normal()
         return make_candidate(
             labelled,
-            displaced(labelled, labelled.T_reported_parts[i], translation, rotation, rng),
-            score=score,
-            visible_fraction=float(np.clip(visible, 0.0, 1.0)),
-            fill=fraction * noise.fill_ratio,
+            displaced(labelled, labelled.T_reported_parts[i], drawn.translation, drawn.rotation, rng),
+            score=drawn.score,
+            visible_fraction=drawn.visible_fraction,
+            fill=drawn.fill,
             part=i,
         )
 

@@ -5,16 +5,26 @@ Shapes: V bins, Q quantiles.
 """
 
 import json
+import logging
 import shlex
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from binpick_env.config import CameraConfig
+from binpick_env.observation.noise_statistics import NoiseBin, Spread, quantile
+from binpick_env.observation.part_class import CLASSES, PartClass, part_class, size_px
 from binpick_env.parts.label import part_label
+from binpick_env.parts.part import Part, resolve_part
+from perception.part import PartModel
+from perception.shape import same_shape, shape_signature
 
+_log = logging.getLogger(__name__)
 SHIPPED = Path(__file__).resolve().parent / "noise"
+GENERAL = "general"  # name of the model for every part
 NOISE_VERSION = 1
 
 
@@ -23,79 +33,39 @@ class NoiseError(ValueError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spread:
-    """Distribution of the errors and scores of poses, as Q evenly spaced quantiles from 0 to 1.
+class DrawnErrors:
+    """Errors of one candidate, drawn from a noise model.
 
     Attributes:
-        translation: (Q,) distances of the part's centre from its true position [m].
-        rotation: (Q,) angles to the true rotation, modulo symmetry [rad].
-        score: (Q,) confidences in [0, 1].
+        wrong: Whether the pose is one of the wrong ones.
+        translation: Distance of the part's centre from its true position, in the model's unit of length.
+        rotation: Angle to the true rotation, modulo symmetry [rad].
+        score: Confidence in [0, 1].
+        visible_fraction: Estimated visible fraction.
+        fill: Number of visible boundary points over P, that of a whole part.
     """
 
-    translation: tuple[float, ...]
-    rotation: tuple[float, ...]
-    score: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        for name in ("translation", "rotation", "score"):
-            values = np.asarray(getattr(self, name), dtype=np.float64)
-            if len(values) < 2 or not np.all(np.diff(values) >= 0) or not values[0] >= 0:
-                raise ValueError(f"{name} must hold two or more rising quantiles from 0 on, got {getattr(self, name)}")
-        if self.score[-1] > 1:
-            raise ValueError(f"score must not exceed 1, got {self.score[-1]}")
-
-    def draw(self, rng: np.random.Generator) -> tuple[float, float, float]:
-        """Draw a translation [m], a rotation [rad] and a score, independently of each other."""
-        tables = (self.translation, self.rotation, self.score)
-        draws = rng.random(3)
-        return tuple(_quantile(table, at) for table, at in zip(tables, draws, strict=True))  # type: ignore[return-value]
-
-
-@dataclass(frozen=True, kw_only=True)
-class NoiseBin:
-    """Statistics of the parts whose true visible fraction lies in one interval.
-
-    Attributes:
-        high: Upper end of the interval, which begins where the one before ends.
-        count: Number of parts that the statistics were fitted to.
-        offered: Share of these parts for which a candidate was offered.
-        wrong: Share of the candidates whose pose is wrong: off by more than a tenth of d_max or 5 deg.
-        spread: Errors and scores of the candidates whose pose is right.
-        visible_bias: Mean of the estimated minus the true visible fraction.
-        visible_sigma: Standard deviation of the estimated minus the true visible fraction.
-        fill_ratio: Mean of visible boundary points over P, divided by the true visible fraction.
-    """
-
-    high: float
-    count: int
-    offered: float
-    wrong: float
-    spread: Spread
-    visible_bias: float = 0.0
-    visible_sigma: float = 0.0
-    fill_ratio: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name in ("high", "offered", "wrong"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be in [0, 1], got {getattr(self, name)}")
-        for name in ("count", "visible_sigma", "fill_ratio"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+    wrong: bool
+    translation: float
+    rotation: float
+    score: float
+    visible_fraction: float
+    fill: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class PerceptionNoise:
     """Noise model of a perceiver: replaces it in training, which then costs physics only.
 
-    Errors are drawn independently for each part and each frame. A real perceiver's are slightly correlated.
+    Errors are drawn independently for each part and each frame. A real perceiver's are slightly correlated. Lengths are
+    in metres; those of a class of `GeneralNoise` are shares of ``d_max``.
 
     Attributes:
         bins: (V,) statistics by rising visible fraction, the last interval ending at 1.
         wrong: Errors and scores of the wrong poses, such as a flipped part or one fitted to a neighbour's points.
         false_rate: Mean number of candidates per frame that belong to no part, or are a part's second.
         false_score: (Q,) quantiles of the false candidates' scores.
-        provenance: Command, seed, bins and commit of the fit.
+        provenance: Command, seed, bins and commit of the fit; ``shape`` identifies the part.
     """
 
     bins: tuple[NoiseBin, ...]
@@ -116,9 +86,44 @@ class PerceptionNoise:
         ends = [each.high for each in self.bins]
         return self.bins[min(int(np.searchsorted(ends, visible_fraction)), len(ends) - 1)]
 
+    def draw(self, visible_fraction: float, rng: np.random.Generator) -> DrawnErrors | None:
+        """Draw the errors of the candidate of a part; None if it has no candidate.
+
+        Args:
+            visible_fraction: True visible fraction of the part.
+            rng: Source of all random numbers.
+        """
+        noise = self.bin_of(visible_fraction)
+        if rng.random() >= noise.offered:
+            return None
+        wrong = bool(rng.random() < noise.wrong)
+        translation, rotation, score = (self.wrong if wrong else noise.spread).draw(rng)
+        visible = visible_fraction + noise.visible_bias + noise.visible_sigma * rng.normal()
+        return DrawnErrors(
+            wrong=wrong,
+            translation=translation,
+            rotation=rotation,
+            score=score,
+            visible_fraction=float(np.clip(visible, 0.0, 1.0)),
+            fill=visible_fraction * noise.fill_ratio,
+        )
+
     def draw_false_score(self, rng: np.random.Generator) -> float:
         """Draw the score of a false candidate."""
-        return _quantile(self.false_score, rng.random())
+        return quantile(self.false_score, rng.random())
+
+    def scaled(self, factor: float) -> "PerceptionNoise":
+        """Return the model with all lengths multiplied by ``factor``."""
+
+        def times(spread: Spread) -> Spread:
+            return replace(spread, translation=tuple(factor * each for each in spread.translation))
+
+        bins = tuple(replace(each, spread=times(each.spread)) for each in self.bins)
+        return replace(self, bins=bins, wrong=times(self.wrong))
+
+    def plain(self) -> dict[str, Any]:
+        """Return the values of the JSON file."""
+        return {"version": NOISE_VERSION, **asdict(self)}
 
     @classmethod
     def from_plain(cls, values: dict[str, Any]) -> "PerceptionNoise":
@@ -128,12 +133,12 @@ class PerceptionNoise:
             NoiseError: The values are not a noise model of this version.
         """
         try:
-            if values["version"] != NOISE_VERSION:
-                raise NoiseError(f"the noise model is of version {values['version']}, this code reads {NOISE_VERSION}")
-            bins = tuple(NoiseBin(**{**each, "spread": _spread(each["spread"])}) for each in values["bins"])
+            _require_version(values)
             return cls(
-                bins=bins,
-                wrong=_spread(values["wrong"]),
+                bins=tuple(
+                    NoiseBin(**{**each, "spread": Spread.from_plain(each["spread"])}) for each in values["bins"]
+                ),
+                wrong=Spread.from_plain(values["wrong"]),
                 false_rate=values["false_rate"],
                 false_score=tuple(values["false_score"]),
                 provenance=values["provenance"],
@@ -148,38 +153,129 @@ class PerceptionNoise:
         Raises:
             NoiseError: The file is missing or does not hold a model of this version.
         """
-        try:
-            values = json.loads(path.read_text())
-        except (OSError, ValueError) as error:
-            raise NoiseError(f"{path} holds no noise model ({error})") from error
-        return cls.from_plain(values)
+        return cls.from_plain(_read(path))
 
     @classmethod
-    def for_part(cls, part: str, sensor: str = "good") -> "PerceptionNoise":
-        """Return the shipped noise model of a catalogue part under a sensor preset.
+    def for_part(
+        cls, part: str | Path | Part, sensor: str = "good", camera: CameraConfig | None = None
+    ) -> "PerceptionNoise":
+        """Return the shipped noise model of a part under a sensor preset, or else what that for every part says of it.
+
+        A part is recognised by its shape. Files of older versions, which do not record the shape, are matched by name.
 
         Args:
-            part: Name of the part, or path of its file, of which no model is shipped.
-            sensor: Name of the sensor preset.
+            part: Loaded part, or its name or file.
+            sensor: Preset of the depth sensor's noise.
+            camera: Camera, which determines the size of the part in the image; the standard one unless given.
 
         Raises:
-            NoiseError: There is none; the text names the command that makes one.
+            NoiseError: There is neither; the text names the commands that make them.
+            ValueError: There is no such part.
         """
-        path = SHIPPED / f"{part_label(part)}_{sensor}.json"
+        wanted = resolve_part(part, None, "detect", None)
+        own = _file_of(wanted, sensor)
+        if own is not None:
+            _log.info("errors of poses: noise model %s, which was fitted to this part", own.name)
+            return cls.load(own)
+        path = general_file(sensor)
         if not path.exists():
             known = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.json"))) or "none"
             raise NoiseError(
-                f"there is no noise model of {part!r} under sensor {sensor!r} (there are: {known}); "
-                f"fit one with binpick fit-noise --part {shlex.quote(part)} --sensor {sensor}"
+                f"there is no noise model of {wanted.source!r} under sensor {sensor!r}, and none for every part (there "
+                f"are: {known}); fit one with binpick fit-noise --part {shlex.quote(wanted.source)} --sensor {sensor}, "
+                f"or one for every part with binpick fit-noise --part generated --sensor {sensor}"
             )
-        return cls.load(path)
+        return GeneralNoise.load(path).for_part(wanted.model, camera or CameraConfig())
 
 
-def _quantile(table: tuple[float, ...], at: float) -> float:
-    """Return the value at a quantile in [0, 1] of a (Q,) table of evenly spaced quantiles."""
-    return float(np.interp(at, np.linspace(0.0, 1.0, len(table)), np.asarray(table)))
+@dataclass(frozen=True, kw_only=True)
+class GeneralNoise:
+    """Noise model for every part: one model for each class of parts, its lengths as shares of ``d_max``.
+
+    Attributes:
+        classes: Models by size in the image and shape; a class that the fit saw too little of has pooled statistics.
+        provenance: Command, seed, parts, network and commit of the fit.
+    """
+
+    classes: Mapping[PartClass, PerceptionNoise]
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        missing = [each for each in CLASSES if each not in self.classes]
+        if missing:
+            raise ValueError(f"a model for every part must have all {len(CLASSES)} classes, got none for {missing}")
+
+    def for_part(self, part: PartModel, camera: CameraConfig) -> PerceptionNoise:
+        """Return the model of a part, in metres.
+
+        Args:
+            part: Part whose shape and ``d_max`` are measured.
+            camera: Camera, which determines the size of the part in the image.
+        """
+        own = part_class(shape_signature(part), size_px(part.d_max, camera))
+        parts = len(self.classes[own].provenance.get("parts", []))
+        _log.info(
+            "errors of poses: noise model for every part, as of %s %s parts (fitted to %d of these, and to all parts "
+            "where they are too few)", own.size, own.shape, parts
+        )  # fmt: skip
+        return self.classes[own].scaled(part.d_max)
+
+    def plain(self) -> dict[str, Any]:
+        """Return the values of the JSON file."""
+        classes = [{**key._asdict(), **self.classes[key].plain()} for key in CLASSES]
+        return {"version": NOISE_VERSION, "unit": "d_max", "classes": classes, "provenance": self.provenance}
+
+    @classmethod
+    def from_plain(cls, values: dict[str, Any]) -> "GeneralNoise":
+        """Build a model from the values of its JSON file.
+
+        Raises:
+            NoiseError: The values are not a model for every part, of this version.
+        """
+        try:
+            _require_version(values)
+            models = {
+                PartClass(one["size"], one["shape"]): PerceptionNoise.from_plain(one) for one in values["classes"]
+            }
+            return cls(classes=models, provenance=values["provenance"])
+        except (KeyError, TypeError) as error:
+            raise NoiseError(f"the noise model for every part is incomplete ({error!r})") from error
+
+    @classmethod
+    def load(cls, path: Path) -> "GeneralNoise":
+        """Read a model from its JSON file.
+
+        Raises:
+            NoiseError: The file is missing or does not hold a model for every part, of this version.
+        """
+        return cls.from_plain(_read(path))
 
 
-def _spread(values: dict[str, Any]) -> Spread:
-    tables: dict[str, tuple[float, ...]] = {name: tuple(table) for name, table in values.items()}
-    return Spread(**tables)
+def general_file(sensor: str) -> Path:
+    """Return the path of the shipped model for every part under a sensor preset."""
+    return SHIPPED / f"{GENERAL}_{sensor}.json"
+
+
+def _file_of(part: Part, sensor: str) -> Path | None:
+    """Return the file of the model that was fitted to a part; None if there is none."""
+    signature, label = shape_signature(part.model), part_label(part.source)
+    for path in sorted(SHIPPED.glob(f"*_{sensor}.json")):
+        if path == general_file(sensor):
+            continue
+        shape = _read(path).get("provenance", {}).get("shape")
+        if path.stem == f"{label}_{sensor}" if shape is None else same_shape(shape, signature):
+            return path
+    return None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        values: dict[str, Any] = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise NoiseError(f"{path} holds no noise model ({error})") from error
+    return values
+
+
+def _require_version(values: dict[str, Any]) -> None:
+    if values["version"] != NOISE_VERSION:
+        raise NoiseError(f"the noise model is of version {values['version']}, this code reads {NOISE_VERSION}")

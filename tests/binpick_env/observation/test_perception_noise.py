@@ -1,6 +1,7 @@
 """The oracle that errs like the learned perceiver: its rates, its poses, its fit, its file."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,21 +10,21 @@ import numpy as np
 import pytest
 import trimesh
 
+from binpick_env.config import CameraConfig
 from binpick_env.env import BinPickEnv
-from binpick_env.evaluation.noise_fit import (
-    FrameObservation,
-    PartObservation,
-    compare_with_truth,
-    fit_noise,
-    save_noise,
-)
+from binpick_env.evaluation.noise.comparison import FrameObservation, PartObservation, compare_with_truth
+from binpick_env.evaluation.noise.fit import fit_noise, save_noise
 from binpick_env.observation.factory import make_perceiver
+from binpick_env.observation.noise_statistics import NoiseBin, Spread
 from binpick_env.observation.noisy_oracle import NoisyOraclePerceiver, displaced
 from binpick_env.observation.oracle import OraclePerceiver
-from binpick_env.observation.perception_noise import NoiseBin, NoiseError, PerceptionNoise, Spread
+from binpick_env.observation.part_class import CLASSES, PartClass
+from binpick_env.observation.perception_noise import SHIPPED, GeneralNoise, NoiseError, PerceptionNoise
+from binpick_env.parts import load_part
 from perception.geometry import make_transform
 from perception.metrics.pose_errors import pose_error
 from perception.part import PartModel, Symmetry
+from perception.shape import shape_signature
 from tests.binpick_env.observation.test_perceiver import off_centre, view
 from tests.binpick_env.small_cell import assert_same, small_env
 
@@ -215,18 +216,90 @@ def test_a_missing_or_damaged_file_is_named(tmp_path: Path) -> None:
         PerceptionNoise.load(tmp_path / "half.json")
 
 
-def test_a_part_without_a_model_names_the_command() -> None:
-    with pytest.raises(NoiseError, match=r"binpick fit-noise --part spoon --sensor harsh"):
-        PerceptionNoise.for_part("spoon", "harsh")
-    with pytest.raises(NoiseError, match=r"fit-noise --part '/parts/my spoon\.stl' --sensor good"):
-        PerceptionNoise.for_part("/parts/my spoon.stl")
-    with pytest.raises(NoiseError, match=r"of .tee. under sensor .none. .there are"):
+def test_a_part_without_a_model_names_the_command(tmp_path: Path) -> None:
+    with pytest.raises(
+        NoiseError,
+        match=r"--part tee --sensor harsh, or one for every part .* --part generated --sensor harsh",
+    ):
+        PerceptionNoise.for_part("tee", "harsh")
+    spoon = tmp_path / "my spoon.stl"
+    trimesh.creation.box((80, 12, 10)).export(spoon)
+    with pytest.raises(NoiseError, match=rf"fit-noise --part '{re.escape(str(spoon))}' --sensor harsh, or one for"):
+        PerceptionNoise.for_part(spoon, "harsh")
+    with pytest.raises(NoiseError, match=r"of .tee. under sensor .none., and none for every part .there are: "):
         BinPickEnv("tee", num_parts=1, perception="oracle", sensor="none", pose_noise="learned")
     misspelt: Any = "lerned"
     with pytest.raises(
         ValueError, match="pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got 'lerned'"
     ):
         BinPickEnv("tee", num_parts=1, perception="oracle", pose_noise=misspelt)
+
+
+def general(**changes: Any) -> GeneralNoise:
+    """Return a model for every part whose rate of false candidates is the number of the class."""
+    classes = {key: model(false_rate=float(k)) for k, key in enumerate(CLASSES)}
+    return GeneralNoise(**{"classes": classes, "provenance": {"seed": 2}, **changes})
+
+
+def test_a_model_for_every_part_survives_its_file_and_is_complete(tmp_path: Path) -> None:
+    save_noise(tmp_path / "general_good.json", general())
+    assert GeneralNoise.load(tmp_path / "general_good.json") == general()
+    with pytest.raises(ValueError, match=r"must have all 9 classes, got none for .PartClass.size='small', shape='c"):
+        general(classes={key: model() for key in CLASSES[1:]})
+    with pytest.raises(NoiseError, match=r"the noise model for every part is incomplete .KeyError.'classes'"):
+        GeneralNoise.from_plain(model().plain())
+    with pytest.raises(NoiseError, match="is of version 7, this code reads 1"):
+        GeneralNoise.from_plain(general().plain() | {"version": 7})
+    with pytest.raises(NoiseError, match="holds no noise model"):
+        GeneralNoise.load(tmp_path / "none.json")
+
+
+def test_the_model_for_every_part_serves_a_part_in_metres_by_its_class(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", logger="binpick_env")
+    monkeypatch.setattr("binpick_env.observation.perception_noise.SHIPPED", tmp_path)
+    save_noise(tmp_path / "general_good.json", general())
+    rod = tmp_path / "rod.stl"
+    trimesh.creation.box((80, 12, 10)).export(rod)
+    noise = PerceptionNoise.for_part(rod)
+    d_max = load_part(rod).model.d_max
+    assert d_max == pytest.approx(0.08151, abs=1e-5)
+    assert noise.false_rate == CLASSES.index(PartClass("medium", "slender"))
+    assert noise.wrong.translation == pytest.approx([d_max * each for each in WRONG.translation])
+    for each, unit in zip(noise.bins, model().bins, strict=True):
+        assert each.spread.translation == pytest.approx([d_max * share for share in unit.spread.translation])
+        assert (each.spread.rotation, each.spread.score) == (unit.spread.rotation, unit.spread.score)
+        assert (each.offered, each.wrong, each.fill_ratio) == (unit.offered, unit.wrong, unit.fill_ratio)
+    assert "noise model for every part, as of medium slender parts" in caplog.text
+    near = PerceptionNoise.for_part(rod, camera=CameraConfig(distance=0.3))
+    assert near.false_rate == CLASSES.index(PartClass("large", "slender"))
+
+
+def test_a_model_of_the_part_itself_is_recognised_by_shape_and_precedes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The file's name does not matter; without a shape, as older versions wrote, it does."""
+    caplog.set_level("INFO", logger="binpick_env")
+    monkeypatch.setattr("binpick_env.observation.perception_noise.SHIPPED", tmp_path)
+    save_noise(tmp_path / "general_good.json", general())
+    block = tmp_path / "block.stl"
+    trimesh.creation.box((80, 12, 10)).export(block)
+    shape = list(shape_signature(load_part(block).model))
+    save_noise(tmp_path / "another_good.json", model(false_rate=0.25, provenance={"shape": shape}))
+    save_noise(tmp_path / "tee_good.json", model(false_rate=0.5, provenance={}))
+    save_noise(tmp_path / "bracket_good.json", model(false_rate=0.75, provenance={"shape": shape}))
+    assert PerceptionNoise.for_part(block).false_rate == 0.25
+    assert "noise model another_good.json, which was fitted to this part" in caplog.text
+    assert PerceptionNoise.for_part("tee").false_rate == 0.5
+    assert PerceptionNoise.for_part("bracket").false_rate in range(9)  # that file is of another shape
+
+
+def test_the_shipped_models_of_the_catalogue_serve_by_name() -> None:
+    for name in ("part_a", "part_b", "part_c", "tee", "bracket"):
+        noise = PerceptionNoise.for_part(name)
+        assert noise.provenance["part"] == name
+        assert noise == PerceptionNoise.load(SHIPPED / f"{name}_good.json")
 
 
 def test_the_environment_takes_the_model_of_its_part_and_sensor(

@@ -1,15 +1,19 @@
 """`binpick fit-noise`, `check-fast`, `train-selector` and `evaluate-selector`, each from its command line."""
 
 import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
-from binpick_env.evaluation import noise_fit
-from binpick_env.evaluation.noise_fit import FrameObservation, PartObservation
-from binpick_env.observation.perception_noise import PerceptionNoise
+from binpick_env.evaluation import noise
+from binpick_env.evaluation.noise import NoiseBins, ObservedBin
+from binpick_env.observation.perception_noise import GeneralNoise, PerceptionNoise
 from binpick_env.options import CellOptions
 from policies.commands import check_fast, evaluate_selector, fit_noise, train_selector
 from policies.commands.command_line import parse
@@ -18,6 +22,7 @@ from policies.grasping.outcomes import GraspOutcome
 from policies.selection import env, fast_agreement
 from policies.selection.fast_agreement import PairedAttempt
 from policies.selection.selectors import load_selector
+from tests.binpick_env.evaluation.noise.observed_bins import drawn_bins, observed, row
 
 FEW = ("--min-parts", "2", "--max-parts", "3")
 
@@ -26,36 +31,60 @@ def call(command: ModuleType, *arguments: object) -> int:
     return int(command.main([str(argument) for argument in arguments]))
 
 
-def test_a_noise_model_is_fitted_and_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Replace the observation of bins by those in "bins"; return what was asked for."""
     asked: dict[str, Any] = {}
-    row = PartObservation(
-        visible_fraction=0.95,
-        detected=True,
-        correct=True,
-        translation_error=0.001,
-        rotation_error=0.02,
-        score=0.9,
-        estimated_fraction=0.9,
-    )
 
-    def looked(options: CellOptions, bins: int, seed: int, **settings: Any) -> list[FrameObservation]:
-        asked.update(options=options, bins=bins, seed=seed, **settings)
-        return [FrameObservation(parts=(row, PartObservation(visible_fraction=0.95)), false_scores=())] * bins
+    def observe(config: NoiseBins, count: int, folder: Path, workers: int) -> Iterator[int]:
+        asked.update(config=config, count=count, folder=folder, workers=workers)
+        return iter(range(count))
 
-    monkeypatch.setattr(noise_fit, "observe_bins", looked)
+    monkeypatch.setattr(noise, "observe_bins", observe)
+    monkeypatch.setattr(noise, "load_bins", lambda *_: asked["bins"])
+    weights = {"path": "/somewhere/weights.safetensors", "sha256": "abc"}
+    monkeypatch.setattr(NoiseBins, "weights", lambda _: weights)
+    return asked
+
+
+def test_a_noise_model_is_fitted_and_kept(
+    tmp_path: Path, asked: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "tee_harsh.json"
+    asked["bins"] = [observed("tee", "flat", [row(0.95), row(0.95, found=False)])] * 5
     assert call(fit_noise, "--part", "tee", "--bins", 5, "--seed", 31, "--sensor", "harsh", "--json", out) == 0
-    options = CellOptions(part="tee", sensor="harsh")
-    assert asked == {"options": options, "bins": 5, "seed": 31, "num_parts": (2, 30), "workers": 1}
-    noise = PerceptionNoise.load(out)
-    assert (noise.bins[-1].offered, noise.bins[-1].count) == (0.5, 10)
-    assert {"command", "commit", "seed", "bins"} <= noise.provenance.keys()
+    config = NoiseBins(options=CellOptions(part="tee", sensor="harsh"), seed=31, num_parts=(2, 30))
+    folder = Path("runs/fit-noise-tee-harsh-31")
+    assert (asked["config"], asked["count"], asked["folder"], asked["workers"]) == (config, 5, folder, 1)
+    fitted = PerceptionNoise.load(out)
+    assert (fitted.bins[-1].offered, fitted.bins[-1].count) == (0.5, 10)
+    assert {"command", "commit", "seed", "bins"} <= fitted.provenance.keys()
+    assert fitted.provenance["weights"] == {"name": "weights.safetensors", "sha256": "abc"}
+    assert fitted.provenance["shape"] == list(asked["bins"][0].signature)
     assert "50.0 %" in capsys.readouterr().out
-    monkeypatch.setattr(noise_fit, "observe_bins", lambda *_, **__: [FrameObservation(parts=(), false_scores=())])
+    asked["bins"] = [observed("tee", "flat", [])]
     assert call(fit_noise, "--json", out) == 2
     assert "hold no correct pose" in capsys.readouterr().err
+
+
+def test_a_noise_model_for_every_part_is_fitted_checked_and_kept(
+    tmp_path: Path, asked: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "general_good.json"
+    restless: ObservedBin = replace(observed("generated:spool:1000", "compact", []), frame=None)
+    flat = drawn_bins("flat", 6, np.random.default_rng(0), offered=0.5, wrong=0.2)
+    asked["bins"] = [*flat, restless]
+    assert call(fit_noise, "--part", "generated", "--bins", 19, "--json", out) == 0
+    assert asked["config"].many
+    record = GeneralNoise.load(out).provenance
+    assert record["parts"] == {**{f"flat-{k}": "medium flat" for k in range(6)}, restless.part: "medium compact"}
+    assert record["training"] == {"zero-shot": 7}
+    assert [each["shape"] for each in record["check"]] == ["flat", "all"]
+    shown = capsys.readouterr().out
+    assert "rates on parts left out of the fit: observed / drawn" in shown
+    assert re.search(r"\nflat +6 +360 +\d+\.\d / +\d+\.\d ", shown)
+    assert f"fitted to 7 parts; kept in {out}" in shown
+    assert shown.endswith("bins left out, whose pile did not come to rest: 1\n")
 
 
 def test_fast_and_full_are_compared(

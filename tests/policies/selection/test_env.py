@@ -4,11 +4,13 @@ import inspect
 import pickle
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+import trimesh
 from gymnasium.utils.env_checker import check_env
 
 import binpick_env  # noqa: F401  registers the id
@@ -51,6 +53,23 @@ def test_sb3s_checker(shared_env: GraspSelectionEnv) -> None:
     from stable_baselines3.common.env_checker import check_env as check_sb3
 
     check_sb3(shared_env)
+
+
+def test_any_mesh_has_the_learned_perceivers_errors(tmp_path: Path) -> None:
+    """A part without a noise model of its own takes that for every part."""
+    path = tmp_path / "wedge.stl"
+    trimesh.creation.cone(radius=14, height=40, sections=16).export(path)
+    env = gym.make("BinPickSelect-v0", part=str(path), pose_noise="learned", **SMALL | {"num_parts": 3})
+    observation, _ = env.reset(seed=2)
+    cell = env.unwrapped.cell
+    assert observation["mask"].any()
+    own = [candidate for candidate in cell.candidates if candidate.part >= 0]
+    assert own
+    errors = [
+        np.linalg.norm((c.T_world_part - cell.labelled_capture.T_world_parts[c.part])[:3, 3]) for c in own if c.score
+    ]
+    assert 0 < min(errors) < 0.1 * cell.part.model.d_max
+    env.close()
 
 
 def test_the_registration_truncates() -> None:

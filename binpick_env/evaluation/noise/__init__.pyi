@@ -1,0 +1,12 @@
+from .bins import NoiseBins as NoiseBins
+from .bins import ObservedBin as ObservedBin
+from .bins import load_bins as load_bins
+from .bins import observe_bins as observe_bins
+from .check import ClassRates as ClassRates
+from .check import check_on_left_out_parts as check_on_left_out_parts
+from .comparison import FrameObservation as FrameObservation
+from .comparison import PartObservation as PartObservation
+from .comparison import compare_with_truth as compare_with_truth
+from .fit import fit_noise as fit_noise
+from .fit import save_noise as save_noise
+from .general_fit import fit_general_noise as fit_general_noise
