@@ -8,9 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from binpick_env.parts.unit import Unit
-from binpick_env.scenes.synthesis import SceneConfig, generate_scenes, scene_settings, with_room
+from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config, generate_scenes, with_room
 from perception.runtime.files import json_text, write_atomically
-from perception.segmentation.scene import SCENES_NOTE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,10 +113,11 @@ def make_scenes(
 
 
 def _require_same(config: SceneConfig, folder: Path) -> None:
-    note = folder / SCENES_NOTE
-    if note.exists() and json.loads(note.read_text()) != scene_settings(config):
+    try:
+        ensure_folder_config(config, folder)
+    except ValueError as error:
         raise ValueError(
             f"{folder} holds too few scenes, and of other settings than those that train-segmentation makes: "
             "add some with binpick generate-scenes and a larger --count, name other folders with --scenes, "
             "or delete this one"
-        )
+        ) from error

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from binpick_env.scenes import timed_synthesis as module
-from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config, scene_path, with_room
+from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config, scene_path, scene_settings, with_room
 from binpick_env.scenes.timed_synthesis import Making, SceneBudget, fine_tuning_scenes, load_making, make_scenes
+from perception.runtime.files import json_text
 from perception.segmentation.scene import SCENES_NOTE
 
 SECONDS = 10.0  # that a scene takes
@@ -73,6 +74,17 @@ def test_scenes_of_other_settings_are_not_mixed_in(clock: list[float], tmp_path:
     with pytest.raises(ValueError, match=r"scenes holds too few scenes, and of other settings .* or delete this one"):
         next(made(tmp_path))
     assert files(tmp_path) == 0
+
+
+def test_scenes_of_an_older_version_are_continued(clock: list[float], tmp_path: Path) -> None:
+    config = with_room(fine_tuning_scenes("generated:hex_bolt:0"))
+    note = scene_settings(config)
+    del note["generator"]  # older versions did not write it
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes" / SCENES_NOTE).write_text(json_text(note))
+    budget = SceneBudget(least=1, most=2)
+    *_, last = make_scenes(config, tmp_path / "scenes", budget, tmp_path / "time.json")
+    assert last[0] == 2
 
 
 def test_the_scenes_settings_are_written(clock: list[float], tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -17,13 +18,15 @@ from binpick_env.scenes import timed_synthesis
 from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config, scene_path
 from perception.segmentation.scene import SCENES_NOTE
 from perception.segmentation.training import run as run_module
+from perception.segmentation.training.distributed import Place
 from perception.segmentation.training.loop import Length
 from perception.segmentation.training.presets import PRESETS, fine_tuning
 from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS, read_log
 from perception.segmentation.weights import SHIPPED, FoundWeights, find_weights, load_network, load_record
 from policies.commands import train_segmentation as train
+from policies.commands import training_scenes
 from policies.commands.train_segmentation import PLOT
-from policies.commands.training_scenes import scene_budget
+from policies.commands.training_scenes import scene_budget, scenes_of_training
 from tests.perception.disc_scene import disc_scene
 from tests.policies.commands.command_calls import script, start
 
@@ -191,6 +194,28 @@ def test_minutes_count_scenes_and_training_together(
     assert args.length(args.config(), 1, scene_minutes=3.1).minutes == pytest.approx(5.9)
     assert args.length(args.config(), 1, scene_minutes=8.0).minutes == 4.5
     assert args.length(args.config(), 1).minutes == 9.0
+
+
+def test_a_making_that_was_stopped_goes_on_although_there_are_scenes(
+    drawn_scenes: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training_scenes, "MOST", 4)
+    args, whole = train.Arguments(part=("part_a",), minutes=9.0, held_out=1), timed_synthesis.generate_scenes
+
+    def stopped(*arguments: Any) -> Iterator[int]:
+        for index in whole(*arguments):
+            if index == 3:
+                raise KeyboardInterrupt
+            yield index
+
+    with monkeypatch.context() as patch:
+        patch.setattr(timed_synthesis, "generate_scenes", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            scenes_of_training(args, Place())
+    first = scenes_of_training(args, Place())
+    assert first.done
+    assert scenes_of_training(args, Place()) == first
+    assert drawn_scenes == [4, 4]
 
 
 def test_evaluations_are_a_sixth_of_the_training_apart_from_one_to_ten_minutes() -> None:
