@@ -176,6 +176,9 @@ def _planning_spec(config: CellConfig) -> mujoco.MjSpec:
                     _as_mesh(spec, geom)
             elif geom.name:  # the base's visible shapes have no names
                 geom.contype, geom.conaffinity, geom.margin = _STATIC, 0, MAX_CLEARANCE
+    used = {geom.meshname for body in spec.bodies for geom in body.geoms}
+    for mesh in [mesh for mesh in spec.meshes if mesh.name not in used]:
+        spec.delete(mesh)  # the visible shapes' meshes would take 30 MB of each model
     return spec
 
 
