@@ -19,6 +19,14 @@ def share_models() -> None:
         setattr(module, name, remembered(getattr(module, name)))
 
 
+@cache
+def share_shaded_meshes() -> None:
+    """Let recordings share the shaded meshes of the robot and the part."""
+    from policies.report import recording_scene
+
+    recording_scene.shaded_mesh = remembered(recording_scene.shaded_mesh)
+
+
 def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function that computes its result once for equal arguments; callers must not change the result."""
     results: dict[bytes, Any] = {}

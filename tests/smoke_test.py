@@ -48,8 +48,10 @@ def check_environment() -> None:
     import numpy as np
 
     import binpick_env  # noqa: F401
+    from binpick_env.config import CameraConfig
 
-    env = gym.make("BinPick-v0", num_parts=2, perception="oracle", sensor="none")
+    camera = CameraConfig(width=320, height=240)
+    env = gym.make("BinPick-v0", num_parts=2, perception="oracle", sensor="none", camera=camera)
     observation, info = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     assert info["total"] == 2

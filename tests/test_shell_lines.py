@@ -15,7 +15,7 @@ from policies.commands.command_line import parse
 from policies.commands.registry import COMMANDS
 from tests.pages import PAGES, ROOT, blocks, calls_binpick, command_lines, name_of, shell_lines
 from tests.policies.commands.command_calls import run
-from tests.shared_models import share_models
+from tests.shared_models import share_models, share_shaded_meshes
 from tests.shell_line_checks import TINY, Line
 
 BLOCK = (50, 30, 20)  # sides of the part of one's own [mm]
@@ -92,6 +92,7 @@ def run_story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[St
     Weights are installed for this file alone.
     """
     share_models()
+    share_shaded_meshes()
     done: dict[tuple[str, ...], Line] = {}
     installed = tmp_path_factory.mktemp("weights")
 

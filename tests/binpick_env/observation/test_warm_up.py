@@ -24,6 +24,7 @@ WORKSPACE = CellConfig().bin.workspace()
 FIRST_FRAME = """
 import sys
 from numba.core.dispatcher import Dispatcher
+from binpick_env.config import CameraConfig
 from binpick_env.env import BinPickEnv
 
 def versions():
@@ -32,7 +33,7 @@ def versions():
     return {name: len(value.signatures) for name, value in found.items() if isinstance(value, Dispatcher)}
 
 def late_kernels(perception):
-    env = BinPickEnv("tee", 3, perception=perception, threads=1)
+    env = BinPickEnv("tee", 3, perception=perception, threads=1, camera=CameraConfig(width=640, height=480))
     before = versions()
     env.reset(seed=31)
     after = versions()

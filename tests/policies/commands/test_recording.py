@@ -11,6 +11,12 @@ from policies.evaluation import jobs
 from tests.binpick_env.jobs.pickled_map import pickled_map
 from tests.policies.commands.command_calls import TINY, run
 from tests.rerun_rows import rows_of
+from tests.shared_models import share_shaded_meshes
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _meshes_are_shared() -> None:
+    share_shaded_meshes()
 
 
 @pytest.mark.parametrize(

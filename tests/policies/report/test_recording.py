@@ -19,11 +19,17 @@ from policies.grasping.outcomes import PickResult
 from policies.report.recording import Recording, check_recording
 from tests.policies.fake_cell import abstain
 from tests.policies.report.rrd_file import RrdFile
+from tests.shared_models import share_shaded_meshes
 
 CONFIG = EvaluationConfig(
     part="part_c", seed=31, perception="oracle", num_parts=(2, 2), camera=CameraConfig(width=320, height=240)
 )
 LINKS = {"shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link"}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _meshes_are_shared() -> None:
+    share_shaded_meshes()
 
 
 class Recorded(NamedTuple):

@@ -21,6 +21,12 @@ from policies.report.recording_scene import SceneLog, geom_mesh, is_whole, shade
 from tests.last_frame import change_depth, change_frame
 from tests.policies.fake_cell import observed
 from tests.policies.report.rrd_file import RrdFile
+from tests.shared_models import share_shaded_meshes
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _meshes_are_shared() -> None:
+    share_shaded_meshes()
 
 
 @pytest.fixture(scope="module")
