@@ -73,6 +73,8 @@ def _check_run(out: Path, perception: str, bins: int) -> None:
     assert 1 <= numbers["delivered"] == numbers["successes"] <= numbers["attempts"]
     assert numbers["gsr"] == numbers["successes"] / numbers["attempts"]
     assert (numbers["ap"] is None) == (perception == "oracle")
+    frames = json.loads((out / "bin_0000.json").read_text())["frames"]
+    assert (frames[0]["segments"] is None) == (perception == "oracle")
     if perception == "gt_masks":
         assert numbers["ap"] == 1.0
     picks = _picks(out)

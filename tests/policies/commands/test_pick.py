@@ -1,5 +1,6 @@
 import json
 import logging
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,9 @@ from perception.segmentation import weights
 from policies.commands import pick
 from policies.evaluation import jobs
 from policies.evaluation.bin_evaluation import BinError
+from policies.evaluation.config import EvaluationConfig
 from tests.policies.commands.command_calls import TINY, run
+from tests.policies.fake_cell import dice_cell
 
 
 def test_help_names_every_argument_of_the_contract() -> None:
@@ -117,10 +120,14 @@ def test_a_file_is_said_as_it_was_read(
 ) -> None:
     trimesh.creation.box((60, 40, 30)).export(tmp_path / "block.stl")
 
-    def stop(*_: object, **__: object) -> None:
+    configs: list[EvaluationConfig] = []
+
+    def stop(config: EvaluationConfig, *_: object, **__: object) -> None:
+        configs.append(config)
         raise BinError("far enough")
 
     monkeypatch.setattr(jobs, "run_job", stop)
+    trimesh.creation.box((0.05, 0.03, 0.02)).export(tmp_path / "metres.stl")
     file = ["--part", str(tmp_path / "block.stl"), "--out", str(tmp_path / "out"), "--perception", "oracle"]
     for arguments, said in (
         ([], "block.stl: read as mm, d_max 78 mm, symmetry order 4, 2700 kg/m^3"),
@@ -128,12 +135,17 @@ def test_a_file_is_said_as_it_was_read(
     ):
         assert pick.main([*file, *arguments]) == 2
         assert said in capsys.readouterr().out
+    assert [config.density for config in configs] == [None, 1240.0]
+    assert pick.main(["--part", str(tmp_path / "metres.stl"), "--unit", "m", *file[2:]]) == 2
+    assert "metres.stl: read as m, d_max 62 mm, symmetry order 4" in capsys.readouterr().out
+    assert configs[2].unit == "m"
     assert pick.main([*file, "--unit", "inch"]) == 2
     assert "--unit" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_a_budget_picks_the_same_bins_three_ways(tmp_path: Path) -> None:
+def test_a_budget_picks_the_same_bins_three_ways(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page on budgets, whose lines tests/test_shell_lines.py runs, picks them in real cells."""
+    monkeypatch.setattr(jobs, "run_job", partial(jobs.run_job, make_cell=dice_cell))
     arguments = ["--budget", "--bins", "1", "--no-html", *TINY, "--out", str(tmp_path / "out")]
     done = run("pick", *arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -143,7 +155,6 @@ def test_a_budget_picks_the_same_bins_three_ways(tmp_path: Path) -> None:
     for mode in ("oracle", "gt_masks", "learned"):
         record = json.loads((tmp_path / "out" / mode / "bin_0000.json").read_text())
         assert record["parts_total"] == 2
-        assert (record["frames"][0]["segments"] is None) == (mode == "oracle")
         assert numbers["modes"][mode]["config"]["perception"] == mode
     made = (tmp_path / "out" / "gt_masks" / "bin_0000.json").stat().st_mtime_ns
     assert "1 of 1 bins were there already" in run("pick", *arguments, cwd=tmp_path).stdout
@@ -163,13 +174,3 @@ def test_a_part_without_weights_gets_the_commands_that_make_them_and_the_other_m
     for told in ("binpick generate-scenes", "binpick train-segmentation", "'gt_masks'", "'oracle'"):
         assert told in line
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_a_part_file_is_picked(tmp_path: Path) -> None:
-    trimesh.creation.box((0.05, 0.03, 0.02)).export(tmp_path / "block.stl")
-    arguments = ["--part", str(tmp_path / "block.stl"), "--unit", "m", "--bins", "1", "--density", "1000"]
-    done = run("pick", *arguments, *TINY, "--out", str(tmp_path / "out"), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "block.stl: read as m, d_max 62 mm, symmetry order 4, 1000 kg/m^3" in done.stdout
-    assert json.loads((tmp_path / "out" / "results.json").read_text())["config"]["density"] == 1000.0

@@ -39,6 +39,7 @@ def count_steps(env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> list
     return steps
 
 
+@pytest.mark.slow
 def test_a_bin_is_emptied_with_a_third_of_the_steps(
     full: GraspSelectionEnv, fast: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,7 +207,7 @@ def test_too_few_attempts_are_said(
         list(paired_attempts(full, fast, seed=0, count=1))
 
 
-@pytest.mark.parametrize("mode", ["full", "fast"])
+@pytest.mark.parametrize("mode", [pytest.param("full", marks=pytest.mark.slow), "fast"])
 def test_a_probe_leaves_no_trace(mode: str, request: pytest.FixtureRequest) -> None:
     env: GraspSelectionEnv = request.getfixturevalue(mode)
     ends = []

@@ -74,6 +74,7 @@ def test_a_part_anywhere_in_the_bin_is_delivered(tees: HandCell, place: tuple[fl
     assert tees.picker.pick().outcome is GraspOutcome.DELIVERED
 
 
+@pytest.mark.slow
 def test_a_pose_that_is_two_millimetres_off_is_good_enough(tees: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
     lie(monkeypatch, tees, noisy(0.002))
     for seed in range(2):
@@ -148,7 +149,7 @@ def test_the_true_index_of_a_part_changes_nothing(
     np.testing.assert_array_equal(actions, named_actions)
 
 
-@pytest.mark.parametrize("grease", [False, True])
+@pytest.mark.parametrize("grease", [pytest.param(False, marks=SLOW), True])
 def test_what_the_jaw_truly_holds_names_the_outcome_and_moves_nothing(
     wheels: HandCell, monkeypatch: pytest.MonkeyPatch, grease: bool
 ) -> None:

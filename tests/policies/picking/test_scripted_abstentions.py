@@ -39,6 +39,7 @@ def test_a_frame_that_has_lost_four_fifths_of_its_pixels_is_good_enough(tees: Ha
     assert tees.picker.pick().outcome is GraspOutcome.DELIVERED
 
 
+@pytest.mark.slow
 def test_a_bin_out_of_reach_is_infeasible() -> None:
     cell = hand_cell("tee", 1, config=CellConfig(bin=BinConfig(position=(1.4, 0.0))))
     cell.lay(cell.flat())

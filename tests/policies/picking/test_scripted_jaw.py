@@ -43,7 +43,7 @@ def test_no_grasp_and_no_plan_opens_wider_than_the_jaw(narrow: HandCell) -> None
     assert all(narrow.picker.gripper.control(opening) > widest > 0.3 for opening in openings)
 
 
-@pytest.mark.parametrize("fast", [False, True])
+@pytest.mark.parametrize("fast", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_an_attempt_opens_no_wider_than_the_jaw(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     cell = hand_cell("tee", 1, config=NARROW)
     if fast:

@@ -48,6 +48,7 @@ def test_gymnasiums_checker_renders(monkeypatch: pytest.MonkeyPatch) -> None:
     check_env(gym.make("BinPickSelect-v0", render_mode="rgb_array", **SMALL).unwrapped)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings(f"ignore:{TWO_DIMENSIONAL}:UserWarning")
 def test_sb3s_checker(shared_env: GraspSelectionEnv) -> None:
     from stable_baselines3.common.env_checker import check_env as check_sb3
