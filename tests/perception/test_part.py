@@ -6,6 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
+from scipy.spatial.distance import pdist
 
 from perception import part
 from perception.geometry import random_rotation, rotation_about, rotation_angle
@@ -146,6 +147,10 @@ def test_diameter_of_a_hull_of_many_points(monkeypatch: pytest.MonkeyPatch) -> N
     points = np.concatenate([sphere, [[0.0401, 0.0, 0.0], [-0.0401, 0.0, 0.0]]])  # farthest apart, in the last block
     assert len(ConvexHull(points).vertices) > 1100
     assert diameter(points) == pytest.approx(0.0802, abs=1e-9)
+    assert len(part._far_points(points)) == 2  # the rest is too near to their middle
+    points = np.concatenate([sphere, [[0.04000001, 0.0, 0.0]]])  # hardly farther: all points remain, in blocks
+    assert len(part._far_points(points)) > 1100
+    assert diameter(points) == pytest.approx(pdist(points).max(), rel=1e-12)
 
 
 def test_diameter_of_a_box_is_its_diagonal() -> None:
