@@ -20,7 +20,7 @@ from tests.chromium import chromium  # noqa: E402
 
 cv2.setNumThreads(1)
 
-GROWTH = 200e6  # of this process since its memory was last given back [bytes]
+GROWTH = 100e6  # of this process since its memory was last given back [bytes]
 _RESIDENT = Path("/proc/self/statm")
 _kept = 0.0
 

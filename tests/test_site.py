@@ -133,10 +133,11 @@ def test_every_page_is_as_wide_as_the_window_and_at_peace_in_a_browser(site: Pat
 
 @pytest.mark.slow
 def test_an_equations_number_does_not_lie_on_the_equation(site: Path, browser: Any) -> None:
+    page = browser.new_page(viewport={"width": 400, "height": 900})
+    page.goto((site / "explanation" / "method.html").as_uri())
+    page.wait_for_selector("div.math mjx-container")
     for width in (400, 1400):
-        page = browser.new_page(viewport={"width": width, "height": 900})
-        page.goto((site / "explanation" / "method.html").as_uri())
-        page.wait_for_selector("div.math mjx-container")
+        page.set_viewport_size({"width": width, "height": 900})
         boxes = page.evaluate(
             """[...document.querySelectorAll('div.math:has(.eqno)')].map(e =>
             [e.querySelector('.eqno'), e.querySelector('mjx-math')].map(e => e.getBoundingClientRect().toJSON()))"""
