@@ -83,17 +83,27 @@ class CellOptions:
         """
         # Here, since command lines read the options and must not load the mesh libraries for that.
         from binpick_env.part_limits import check_part
+
+        part = self.read_part()
+        check_part(part, self.cell())
+        return part
+
+    def read_part(self) -> "Part":
+        """Load the part, whether or not the cell takes one of its size.
+
+        Raises:
+            ValueError: There is no such part, or its file does not hold a watertight mesh.
+            FileNotFoundError: There is no such file.
+        """
         from binpick_env.parts.part import load_part
 
-        part = load_part(
+        return load_part(
             self.part,
             unit=self.unit,
             symmetry=self.symmetry,
             density=self.density,
             symmetry_tolerance=self.symmetry_tolerance,
         )
-        check_part(part, self.cell())
-        return part
 
     def cell(self) -> CellConfig:
         """Return the cell's settings."""

@@ -90,13 +90,14 @@ def _symmetry(findings: Findings) -> Iterator[Advice]:
 def _bin(findings: Findings) -> Iterator[Advice]:
     facts, picking = findings.bin, findings.picking
     size = " x ".join(f"{1000 * side:.0f}" for side in facts.inner_size)
-    if not facts.fits:
-        long, middle, _ = findings.part.size
+    d_max = findings.part.d_max
+    if d_max > facts.largest_d_max:
+        side = ceil(1000 * min(facts.inner_size[:2]) * d_max / facts.largest_d_max)
         yield Advice(
             kind="bin",
-            text=f"Use a bin whose floor is longer than {1000 * long:.0f} mm and wider than {1000 * middle:.0f} mm",
-            because=f"the part is {1000 * long:.0f} x {1000 * middle:.0f} mm large and does not lie flat in a bin of "
-            f"{size} mm",
+            text=f"Use a bin whose shorter side is {side} mm or more",
+            because=f"the part is {1000 * d_max:.0f} mm long, and a bin of {size} mm holds a pile of parts up to "
+            f"{1000 * facts.largest_d_max:.0f} mm",
         )
     elif facts.capacity < facts.wanted:
         yield Advice(

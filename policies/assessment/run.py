@@ -13,6 +13,7 @@ from binpick_env.config import Perception
 from binpick_env.evaluation.pose.evaluation import evaluate_poses
 from binpick_env.evaluation.pose.scene_score import PoseSceneScore, load_pose_scores
 from binpick_env.evaluation.pose.summary import summarise_poses
+from binpick_env.part_limits import check_part
 from binpick_env.parts.part import Part
 from binpick_env.parts.symmetry import SymmetrySettings
 from policies.assessment.advice import advise
@@ -110,12 +111,12 @@ def assess(config: AssessmentConfig, job: AssessmentJob) -> AssessmentRun:
     """
     clock = _Clock(job.progress)
     with clock.stage("part", 4):
-        part = config.options.load_part()
+        part = config.options.read_part()
         findings = describe(config, part, job.progress)
     scores: Sequence[PoseSceneScore] = ()
     records: Records = {}
     budget = None
-    if (reason := _why_no_scene(findings)) is not None:
+    if (reason := _why_no_scene(config, part)) is not None:
         findings = replace(findings, not_perceived=reason, not_picked=reason)
     else:
         with clock.stage("scenes", config.scenes):
@@ -182,13 +183,13 @@ class _Clock:
         self.seconds[name] = round(time.perf_counter() - start, 2)
 
 
-def _why_no_scene(findings: Findings) -> str | None:
-    """Return why no scene can be made of a part; None if one can."""
-    size, d_max = findings.bin.inner_size, findings.part.d_max
-    if d_max <= np.linalg.norm(size):
-        return None
-    sides = " x ".join(f"{1000 * side:.0f}" for side in size)
-    return f"a part of d_max {1000 * d_max:.0f} mm does not fit into a bin of {sides} mm"
+def _why_no_scene(config: AssessmentConfig, part: Part) -> str | None:
+    """Return why the cell refuses a part of this size; None if it takes it."""
+    try:
+        check_part(part, config.options.cell())
+    except ValueError as error:
+        return str(error)
+    return None
 
 
 def _perceive(

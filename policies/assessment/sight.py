@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from binpick_env.config import CellConfig
 from binpick_env.options import CellOptions
+from binpick_env.part_limits import largest_d_max
 from binpick_env.parts.part import Part
 from binpick_env.scenes.synthesis import bin_capacity
 from binpick_env.scenes.whole_part import whole_part_points
@@ -44,14 +45,14 @@ class BinFacts:
         capacity: Number of parts whose hulls take 40 % of the bin's volume, at least 1.
         wanted: Smallest number of parts that a bin was to hold.
         dropped: Smallest and largest number of parts that are dropped into a bin.
-        fits: Whether a part lies flat on the floor: its two largest sides fit between the walls.
+        largest_d_max: Largest ``d_max`` of parts of which the bin holds a pile [m].
     """
 
     inner_size: tuple[float, float, float]
     capacity: int
     wanted: int
     dropped: tuple[int, int]
-    fits: bool
+    largest_d_max: float
 
 
 def sight_facts(options: CellOptions, part: Part) -> SightFacts:
@@ -88,10 +89,14 @@ def bin_facts(options: CellOptions, part: Part, wanted: int, dropped: tuple[int,
         wanted: Smallest number of parts that a bin is to hold.
         dropped: Smallest and largest number of parts that are dropped into a bin.
     """
-    size = options.cell().bin.inner_size
-    long, middle, _ = sorted((float(side) for side in part.model.mesh.bounding_box_oriented.extents), reverse=True)
-    fits = long <= max(size[:2]) and middle <= min(size[:2])
-    return BinFacts(inner_size=size, capacity=bin_capacity(part, size), wanted=wanted, dropped=dropped, fits=fits)
+    config = options.cell().bin
+    return BinFacts(
+        inner_size=config.inner_size,
+        capacity=bin_capacity(part, config.inner_size),
+        wanted=wanted,
+        dropped=dropped,
+        largest_d_max=largest_d_max(config),
+    )
 
 
 def nearest_distance(cell: CellConfig) -> float:

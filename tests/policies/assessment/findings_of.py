@@ -78,7 +78,7 @@ FINE = Findings(
     sight=SightFacts(
         distance=0.9, image=(1280, 960), depth=0.87, d_max_px=220.0, points=1800.0, nearest=0.795, whole_bin=True
     ),
-    bin=BinFacts(inner_size=(0.36, 0.26, 0.12), capacity=60, wanted=20, dropped=(20, 30), fits=True),
+    bin=BinFacts(inner_size=(0.36, 0.26, 0.12), capacity=60, wanted=20, dropped=(20, 30), largest_d_max=0.2),
     perception=SEEN,
     picking=PICKED,
 )

@@ -22,7 +22,7 @@ CASES: list[tuple[str, Findings, str, str]] = [
         "--symmetry-tolerance 0.0007",
         "by 180° changes the surface by 0.60",
     ),
-    ("bin", changed("bin", fits=False), "longer than 70 mm and wider than 30 mm", "does not lie flat"),
+    ("bin", changed("bin", largest_d_max=0.05), "shorter side is 416 mm or more", "holds a pile of parts up to 50 mm"),
     ("bin", changed("bin", capacity=10), "2.0 times the volume", "holds 10 of these parts, and 20 were to lie in it"),
     ("camera", changed("sight", whole_bin=False), "--camera-distance 0.85", "does not see the whole bin"),
     ("camera", changed("sight", points=0.0, distance=0.33), "--camera-distance 0.50", "shows no edge of the part"),

@@ -72,7 +72,7 @@ def test_a_bin_that_the_part_does_not_fit_into_leaves_the_part_and_the_advice(tm
     assert told.stages == [("part", 4)]
     assert findings.perception is None
     assert findings.picking is None
-    assert findings.not_perceived == "a part of d_max 157 mm does not fit into a bin of 80 x 80 x 80 mm"
+    assert "no pile of larger ones lies in a bin of 80 x 80 x 80 mm), got 0.1572 m" in (findings.not_perceived or "")
     assert findings.not_picked == findings.not_perceived
     assert [piece.kind for piece in run.assessment.advice] == ["bin"]
     write_assessment_report(tmp_path / "report.html", run, tmp_path / "out")
@@ -108,3 +108,21 @@ def test_a_part_that_the_network_does_not_separate_needs_training(
     assert findings.picking.dr["oracle"] == 1.0
     assert findings.picking.losses.segmentation > 0
     assert findings.picking.losses.largest() == "segmentation"
+
+
+def test_a_cube_in_a_narrow_bin_needs_another_bin(tmp_path: Path) -> None:
+    run = assessed(tmp_path, (50, 50, 50), Told(), bin=(0.12, 0.115, 0.2))
+    picking = run.assessment.findings.picking
+    assert picking is not None
+    assert picking.left.get("no_clear_approach", 0) + picking.left.get("ik_infeasible", 0) >= 1
+    assert [piece.kind for piece in run.assessment.advice] == ["bin"]
+    assert "because walls and neighbours block the fingers" in run.assessment.advice[0].because
+
+
+def test_a_part_that_slips_needs_another_jaw(tmp_path: Path) -> None:
+    run = assessed(tmp_path, (120, 70, 70), Told(), density=19000.0)
+    picking = run.assessment.findings.picking
+    assert picking is not None
+    assert picking.failed >= 1
+    assert [piece.kind for piece in run.assessment.advice] == ["jaw"]
+    assert "attempts failed; the part weighs 11172 g" in run.assessment.advice[0].because
