@@ -32,6 +32,7 @@ from perception.geometry import Floats, invert_transform, make_transform, rotati
 from perception.runtime.files import json_text
 from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
+from perception.shape import shape_signature
 
 _log = logging.getLogger(__name__)
 MANY_PARTS = "generated"  # stands for parts of all training families, for the training of one network for every part
@@ -198,6 +199,7 @@ def make_scene(config: SceneConfig, index: int) -> CapturedScene:
         T_cam_parts=T_cam_parts,
         centres_cam=transform_point_each(T_cam_parts, model.centre),
         visible_fractions=visible_fractions(capture, model.mesh, T_world_parts),
+        signature=np.array(shape_signature(model)),
     )
     return CapturedScene(scene, capture)
 

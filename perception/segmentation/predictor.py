@@ -14,12 +14,13 @@ from perception.instance import Instance, instances_of
 from perception.part import PartModel
 from perception.segmentation.grouping.similarity import GroupingConfig, group_points
 from perception.segmentation.networks.grid import place_in, view_grid
-from perception.segmentation.networks.grid_net import GridInputs, GridNet
+from perception.segmentation.networks.grid_net import GridInputs, GridNet, shape_input
 from perception.segmentation.networks.inputs import centred
 from perception.segmentation.networks.output import PointOutputs
 from perception.segmentation.networks.precision import half_precision
 from perception.segmentation.surface import Surface
 from perception.segmentation.weights import Network, find_weights, load_network
+from perception.shape import shape_signature, shape_values
 
 _log = logging.getLogger(__name__)
 Singles = NDArray[np.float32]
@@ -70,7 +71,11 @@ class SegmentationPredictor:
     """
 
     def __init__(
-        self, network: Network, config: PredictorConfig | None = None, device: torch.device | str | None = None
+        self,
+        network: Network,
+        config: PredictorConfig | None = None,
+        device: torch.device | str | None = None,
+        part: PartModel | None = None,
     ) -> None:
         """Use a network.
 
@@ -78,7 +83,12 @@ class SegmentationPredictor:
             network: Trained network. It is put into evaluation mode and moved to the device.
             config: Settings of the prediction; the defaults of :class:`PredictorConfig` if left out.
             device: Device of the computation; a GPU if there is one, unless given.
+            part: Part to recognise. A network that can be told the shape is told it.
+
+        Raises:
+            ValueError: The part's mesh does not enclose a volume.
         """
+        self.shape = None if part is None else shape_values(shape_signature(part))
         self.config = config or PredictorConfig()
         self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
         self.network = network.to(self.device).eval()
@@ -101,23 +111,31 @@ class SegmentationPredictor:
         """
         found = find_weights(part)
         _log.info("%s is segmented by %s (%s)", part.name, found.path, found.training)
-        return cls.from_file(found.path, config, device)
+        return cls.from_file(found.path, config, device, part)
 
     @classmethod
     def from_file(
-        cls, path: Path, config: PredictorConfig | None = None, device: torch.device | str | None = None
+        cls,
+        path: Path,
+        config: PredictorConfig | None = None,
+        device: torch.device | str | None = None,
+        part: PartModel | None = None,
     ) -> "SegmentationPredictor":
-        """Return the predictor with the weights of a ``.safetensors`` file."""
+        """Return the predictor with the weights of a ``.safetensors`` file; see :meth:`__init__`."""
         _log.info("loading the segmentation network %s", path)
-        return cls(load_network(path), config, device)
+        return cls(load_network(path), config, device, part)
 
-    def predict(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> list[Instance]:
+    def predict(
+        self, boundary: BoundaryCloud, surface: Surface, d_max: float, shape: Floats | None = None
+    ) -> list[Instance]:
         """Return the instances in a frame, best first; none for an empty cloud or one without groups.
 
         Args:
             boundary: All boundary points of the frame.
             surface: Coarse surface of the same frame, for the same ``d_max``.
             d_max: Largest extent of the part [m].
+            shape: (5,) values that describe the part's shape, see :func:`perception.shape.shape_values`. Those of the
+                predictor's part unless given.
 
         Raises:
             ValueError: ``d_max`` is not positive.
@@ -126,23 +144,28 @@ class SegmentationPredictor:
             raise ValueError(f"d_max must be positive and finite, got {d_max}")
         if len(boundary) == 0:
             return []
-        outputs = self.describe(boundary, surface, d_max)
+        outputs = self.describe(boundary, surface, d_max, shape)
         groups = group_points(outputs.embedding, outputs.confidence, boundary.points_cam, d_max, self.config.grouping)
         return instances_of(groups.labels, groups.scores)
 
-    def describe(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> PointPredictions:
-        """Return the outputs of the network for all points of a cloud, which must not be empty."""
+    def describe(
+        self, boundary: BoundaryCloud, surface: Surface, d_max: float, shape: Floats | None = None
+    ) -> PointPredictions:
+        """Return the outputs of the network for all points of a cloud, which must not be empty; see :meth:`predict`."""
+        shape = self.shape if shape is None else shape
         with torch.inference_mode():
             if not isinstance(self.network, GridNet):
                 return self._by_subsets(boundary.points_cam, d_max)
             with half_precision(self.device, self.config.bf16):
-                return self._all_at_once(boundary, surface, d_max)
+                return self._all_at_once(boundary, surface, d_max, shape)
 
-    def _all_at_once(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> PointPredictions:
+    def _all_at_once(
+        self, boundary: BoundaryCloud, surface: Surface, d_max: float, shape: Floats | None
+    ) -> PointPredictions:
         points = boundary.points_cam
         reference = float(np.median(points[:, 2]))
         view = view_grid(surface.depth, place_in(surface, boundary.pixels), points[:, 2], d_max, reference)
-        arrays = (view.cells, view.place, view.local, centred(points, d_max))
+        arrays = (view.cells, view.place, view.local, centred(points, d_max), shape_input(shape))
         inputs = GridInputs(*(torch.from_numpy(array)[None].to(self.device) for array in arrays))
         return _predictions(self.network(inputs))
 

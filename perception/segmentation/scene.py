@@ -11,6 +11,7 @@ from perception.boundary import BoundaryCloud
 from perception.geometry import Floats, require_shape
 from perception.runtime.records import RecordError, RecordFormat
 from perception.segmentation.surface import Surface
+from perception.shape import shape_values
 
 SCENES_NOTE = "scenes.json"  # file beside the scenes of a folder with the settings that made them
 SURFACE_UNIT = 2e-5  # resolution of the depth of the surface in a file [m]
@@ -38,6 +39,8 @@ class BoundaryScene:
         T_cam_parts: (P, 4, 4) true poses; part i has id i.
         centres_cam: (P, 3) true centres of the parts in the camera frame [m].
         visible_fractions: (P,) visible fraction of each part in [0, 1].
+        signature: (6,) invariants of the part's shape [m], see :func:`perception.shape.shape_signature`; None if they
+            are unknown, as in scenes of older versions.
     """
 
     part: str
@@ -49,6 +52,7 @@ class BoundaryScene:
     T_cam_parts: Floats
     centres_cam: Floats
     visible_fractions: Floats
+    signature: Floats | None = None
 
     def __post_init__(self) -> None:
         require_shape("instance_ids", self.instance_ids, (len(self.boundary),))
@@ -60,6 +64,13 @@ class BoundaryScene:
             raise ValueError(f"instance_ids go up to {self.instance_ids.max()}, but there are {parts} parts")
         if not self.d_max > 0:
             raise ValueError(f"d_max must be positive, got {self.d_max}")
+        if self.signature is not None:
+            shape_values(self.signature)  # refuses what is no signature
+
+    @property
+    def shape(self) -> Floats | None:
+        """Return the (5,) values that describe the part's shape, see :func:`perception.shape.shape_values`."""
+        return None if self.signature is None else shape_values(self.signature)
 
     def save(self, path: Path) -> None:
         """Write a compressed file, atomically.
@@ -88,6 +99,8 @@ class BoundaryScene:
             "centres_cam": self.centres_cam,
             "visible_fractions": self.visible_fractions,
         }
+        if self.signature is not None:
+            arrays["signature"] = self.signature
         FORMAT.save_arrays(path, arrays)
 
     @classmethod
@@ -122,6 +135,7 @@ class BoundaryScene:
             T_cam_parts=arrays["T_cam_parts"],
             centres_cam=arrays["centres_cam"],
             visible_fractions=arrays["visible_fractions"],
+            signature=arrays.get("signature"),
         )
 
     def only(self, mask: NDArray[np.bool_]) -> "BoundaryScene":

@@ -21,6 +21,7 @@ from perception.pose.selection.explanation import ExplanationConfig
 from perception.segmentation.grouping.similarity import GroupingConfig
 from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.surface import Surface
+from perception.shape import shape_signature, shape_values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +96,7 @@ class PoseMethod:
         self.part = part
         self.warm = False  # whether it has processed a frame: the first one takes longer
         self.estimator = make_estimator(part, config.estimator, workspace)
+        self._shape = shape_values(shape_signature(part))
         self._segmenter = None if config.network is None else segmenter(config.network)
 
     @property
@@ -110,7 +112,7 @@ class PoseMethod:
     def segments(self, boundary: BoundaryCloud, surface: Surface | None, scene: BoundaryScene) -> list[Instance]:
         """Return groups by the network; without one, the true segments of at least ``min_points``, with score 1."""
         if self._segmenter is not None and surface is not None:
-            return self._segmenter.segment(boundary, surface, self.part.d_max)
+            return self._segmenter.segment(boundary, surface, self.part.d_max, self._shape)
         return true_instances(scene.instance_ids, self.config.min_points)
 
 

@@ -276,5 +276,5 @@ def _match_scene(
 ) -> list[SceneMatches]:
     """Segment a validation scene with each grouping distance, and match the instances to its parts."""
     scene = BoundaryScene.load(paths[index])
-    found = segmenter(method).segment_at(distances, scene.boundary, scene.surface, scene.d_max)
+    found = segmenter(method).segment_at(distances, scene.boundary, scene.surface, scene.d_max, scene.shape)
     return [score_scene(scene, instances) for instances in found]

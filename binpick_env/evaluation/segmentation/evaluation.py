@@ -23,6 +23,7 @@ from perception.instance import Instance, labels_of
 from perception.runtime.provenance import git_commit
 from perception.runtime.records import RecordError
 from perception.runtime.threads import use_threads
+from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.surface import coarse_surface
 from perception.segmentation.weights import load_record
 
@@ -101,9 +102,9 @@ def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, pictu
     method, workspace = segmenter(config.method), config.scenes.cell().bin.workspace()
     with use_threads(threads):
         if not method.warm:
-            _segment(method, capture.frame, workspace, scene.d_max)
+            _segment(method, capture.frame, workspace, scene)
             method.warm = True
-        instances, ms = _segment(method, capture.frame, workspace, scene.d_max)
+        instances, ms = _segment(method, capture.frame, workspace, scene)
     wrong, contour = wrong_side(capture, scene.boundary)
     u0, v0, u1, v1 = capture.region if picture else (0, 0, 0, 0)
     return SceneRecord(
@@ -141,15 +142,15 @@ def require_unseen(config: EvaluationConfig) -> None:
 
 
 def _segment(
-    method: Segmenter, frame: Frame, workspace: Workspace, d_max: float
+    method: Segmenter, frame: Frame, workspace: Workspace, scene: BoundaryScene
 ) -> tuple[list[Instance], dict[str, float]]:
     """Return the instances of a frame, and the time of each of `STAGES` [ms]."""
     clock = [time.perf_counter()]
     boundary = extract_boundary(frame, workspace)
     clock.append(time.perf_counter())
-    surface = coarse_surface(frame, workspace, d_max)
+    surface = coarse_surface(frame, workspace, scene.d_max)
     clock.append(time.perf_counter())
-    instances = method.segment(boundary, surface, d_max)
+    instances = method.segment(boundary, surface, scene.d_max, scene.shape)
     clock.append(time.perf_counter())
     seconds = [*np.diff(clock), clock[-1] - clock[0]]
     return instances, {name: 1000 * float(value) for name, value in zip(STAGES, seconds, strict=True)}

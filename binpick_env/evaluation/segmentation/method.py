@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from binpick_env.evaluation.choices import SegmentationKind
 from perception.boundary import BoundaryCloud
+from perception.geometry import Floats
 from perception.instance import Instance, instances_of
 from perception.segmentation.grouping.euclidean import euclidean_components
 from perception.segmentation.grouping.group_merging import GroupMergingConfig, merge_groups
@@ -101,14 +102,21 @@ class Segmenter:
             self._distance = trained_distance(load_record(config.weights))
             self._predictor = SegmentationPredictor.from_file(config.weights, self._predictor_config(config.threshold))
 
-    def segment(self, boundary: BoundaryCloud, surface: Surface, d_max: float) -> list[Instance]:
+    def segment(
+        self, boundary: BoundaryCloud, surface: Surface, d_max: float, shape: Floats | None = None
+    ) -> list[Instance]:
         """Return the instances by descending score; see :meth:`SegmentationPredictor.predict`."""
         if self._predictor is not None and self.config.grouping == "ours":
-            return self._predictor.predict(boundary, surface, d_max)
-        return self.segment_at((self.config.grouping_distance,), boundary, surface, d_max)[0]
+            return self._predictor.predict(boundary, surface, d_max, shape)
+        return self.segment_at((self.config.grouping_distance,), boundary, surface, d_max, shape)[0]
 
     def segment_at(
-        self, distances: Sequence[float], boundary: BoundaryCloud, surface: Surface, d_max: float
+        self,
+        distances: Sequence[float],
+        boundary: BoundaryCloud,
+        surface: Surface,
+        d_max: float,
+        shape: Floats | None = None,
     ) -> list[list[Instance]]:
         """Return the instances for each :attr:`MethodConfig.grouping_distance`; the network runs once."""
         config, points = self.config, boundary.points_cam
@@ -117,10 +125,10 @@ class Segmenter:
         if self._predictor is None:
             return [euclidean_components(points, radius, config.min_points) for radius in distances]
         if config.grouping == "ours":
-            predictions = self._predictor.describe(boundary, surface, d_max)
+            predictions = self._predictor.describe(boundary, surface, d_max, shape)
             return [self._grouped(predictions, boundary, d_max, threshold) for threshold in distances]
         chosen = np.random.default_rng(config.seed).permutation(len(boundary))[: config.subset]
-        predictions = self._predictor.describe(boundary.only(chosen), surface, d_max)
+        predictions = self._predictor.describe(boundary.only(chosen), surface, d_max, shape)
         return [self._merged(predictions, boundary, chosen, d_max, threshold) for threshold in distances]
 
     def _grouped(

@@ -10,11 +10,16 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from perception.segmentation.networks.grid import CHANNELS, LOCAL
 from perception.segmentation.networks.output import PointOutputs
+from perception.shape import VALUES
+
+Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +31,7 @@ class GridNetConfig:
     embedding: int = 16  # number of learned dimensions of the embedding, besides the three of the vote
     vote_scale: float = 50.0  # factor of the vote for the centre of the part [d_max] in the embedding
     classes: int = 1  # number of semantic classes
+    shape: bool = False  # whether the network can be told the shape of the part; it knows d_max in any case
 
     def __post_init__(self) -> None:
         if len(self.widths) != 5 or min(self.widths) < 1:
@@ -45,12 +51,25 @@ class GridInputs(NamedTuple):
         place_BN2: Column and row of each point in coarse cells.
         local_BNL: Local features of each point.
         points_BN3: Points in the camera frame, in units of d_max.
+        shape_BS: Shape of the part, as :func:`shape_input` returns it; None where no network needs it.
     """
 
     cells_BCHW: Tensor
     place_BN2: Tensor
     local_BNL: Tensor
     points_BN3: Tensor
+    shape_BS: Tensor | None = None
+
+
+def shape_input(values: NDArray[np.floating] | None) -> Singles:
+    """Return the (6,) input of a network for the (5,) values of a shape followed by 1, or zeros if it is unknown.
+
+    Args:
+        values: Values that describe the shape, as :func:`perception.shape.shape_values` returns them, or None.
+    """
+    if values is None:
+        return np.zeros(VALUES + 1, np.float32)
+    return np.append(values, 1.0).astype(np.float32)
 
 
 class GridNet(nn.Module):
@@ -76,6 +95,7 @@ class GridNet(nn.Module):
         self.similarity = nn.Linear(config.hidden, config.embedding)
         self.confidence = nn.Linear(config.hidden, 1)
         self.semantics = nn.Linear(config.hidden, config.classes)
+        self.shape = nn.ModuleList(_silent(VALUES + 1, a) for a in widths[1:] if config.shape)
 
     def forward(self, inputs: GridInputs) -> PointOutputs:
         """Return the outputs of the heads; the embedding is the scaled vote followed by the learned dimensions."""
@@ -83,7 +103,10 @@ class GridNet(nn.Module):
         for down in self.down:
             levels.append(down(levels[-1]))
         features = levels.pop()
-        for lateral, up in zip(reversed(self.lateral), reversed(self.up), strict=True):
+        for level in reversed(range(len(self.up))):
+            lateral, up = self.lateral[level], self.up[level]
+            if self.config.shape:
+                features = features + self._shape_features(inputs, level)
             grown = nn.functional.interpolate(lateral(features), scale_factor=2.0, mode="nearest")
             features = up(torch.cat([levels.pop(), grown], dim=1))
         gathered_BNF = gather_bilinear(features.float(), inputs.place_BN2)
@@ -98,6 +121,14 @@ class GridNet(nn.Module):
                 semantics_BNS=self.semantics(hidden_BNF),
                 offsets_BN3=offsets_BN3,
             )
+
+    def _shape_features(self, inputs: GridInputs, level: int) -> Tensor:
+        """Return what the shape of the part adds to the (B, C, H, W) features below a level."""
+        shape_BS = inputs.shape_BS
+        if shape_BS is None:
+            shape_BS = inputs.cells_BCHW.new_zeros(len(inputs.cells_BCHW), VALUES + 1)
+        added: Tensor = self.shape[level](shape_BS)
+        return added[:, :, None, None]
 
 
 def gather_bilinear(features_BCHW: Tensor, place_BN2: Tensor) -> Tensor:
@@ -124,6 +155,14 @@ class _Residual(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         return torch.relu(x + self.second(self.first(x)))
+
+
+def _silent(inner: int, outer: int) -> nn.Linear:
+    """Return a layer that returns 0 until it is trained."""
+    layer = nn.Linear(inner, outer)
+    nn.init.zeros_(layer.weight)
+    nn.init.zeros_(layer.bias)
+    return layer
 
 
 def _block(inner: int, outer: int, stride: int = 1) -> nn.Sequential:

@@ -74,6 +74,8 @@ def _identity(trainer: Trainer) -> dict[str, Any]:
         "bfloat16": trainer.config.bf16 and bfloat16_is_fast(trainer.device),
     }
     plain: dict[str, Any] = json.loads(json_text(values))
+    if not plain["network"].get("shape", True):
+        del plain["network"]["shape"]  # older checkpoints do not know it
     return plain
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from perception.geometry import Floats
 from perception.segmentation.networks.grid import FINE, place_in, view_grid
-from perception.segmentation.networks.grid_net import GridInputs
+from perception.segmentation.networks.grid_net import GridInputs, shape_input
 from perception.segmentation.networks.inputs import centred
 from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.training.augment import AugmentConfig, draw_kept, draw_turn
@@ -24,6 +24,7 @@ from perception.segmentation.training.presets import TrainingConfig
 
 _log = logging.getLogger(__name__)
 CROP = 128  # side of a training crop [coarse cells]
+HIDDEN = 0.4  # share of the crops whose network is not told the shape of the part, so that it can do without
 BORDER = 4  # width of the border of a crop whose points are not drawn, as their parts are cut off [coarse cells]
 
 Singles = NDArray[np.float32]
@@ -77,6 +78,7 @@ class PackedScene:
         instance_ids: (N,) part of each point, -1 for the container.
         centres: (P, 3) centres of the parts in the camera frame [m].
         d_max: Largest extent of the part [m].
+        shape: (5,) values that describe the part's shape, None if unknown.
     """
 
     name: str
@@ -86,6 +88,7 @@ class PackedScene:
     instance_ids: NDArray[np.int16]
     centres: Singles
     d_max: float
+    shape: Singles | None = None
 
     @classmethod
     def pack(cls, scene: BoundaryScene, name: str = "") -> "PackedScene":
@@ -98,6 +101,7 @@ class PackedScene:
             instance_ids=scene.instance_ids.astype(np.int16),
             centres=scene.centres_cam.astype(np.float32),
             d_max=scene.d_max,
+            shape=None if scene.shape is None else scene.shape.astype(np.float32),
         )
 
 
@@ -339,5 +343,7 @@ class BatchMaker:
         cells, place, local, points, ids, offsets = (
             torch.from_numpy(np.stack(arrays)) for arrays in zip(*crops, strict=True)
         )
-        inputs = GridInputs(cells_BCHW=cells, place_BN2=place, local_BNL=local, points_BN3=points)
+        told = [None if rng.random() < HIDDEN else scene.shape for scene in chosen]
+        shape = torch.from_numpy(np.stack([shape_input(values) for values in told]))
+        inputs = GridInputs(cells_BCHW=cells, place_BN2=place, local_BNL=local, points_BN3=points, shape_BS=shape)
         return Batch(inputs=inputs, points_BN3=points, instance_ids_BN=ids, offsets_BN3=offsets)

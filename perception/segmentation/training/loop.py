@@ -2,16 +2,16 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from perception.segmentation.networks.grid_net import GridNet
+from perception.segmentation.networks.grid_net import GridInputs, GridNet, GridNetConfig
 from perception.segmentation.networks.output import PointOutputs
 from perception.segmentation.networks.precision import half_precision
 from perception.segmentation.training.dataset import Batch, BatchSource
@@ -110,17 +110,22 @@ class Trainer:
             self._parallel = nn.parallel.DistributedDataParallel(self.network)
 
     def start_from(self, network: Network) -> None:
-        """Start from the weights of another training of the same network.
+        """Start from the weights of another training of the same network, which may not have been told the shape.
 
         Raises:
             TrainingError: The configurations of the networks differ.
         """
-        if network.config != self.network.config:
+        theirs = network.config
+        if isinstance(theirs, GridNetConfig) and isinstance(self.network, GridNet):
+            theirs = replace(theirs, shape=theirs.shape or self.network.config.shape)
+        if theirs != self.network.config:
             raise TrainingError(
                 f"the initial weights are of {network.config}, this training is of {self.network.config}"
             )
-        self.network.load_state_dict(network.state_dict())
-        self.averaged.load_state_dict(network.state_dict())
+        # A network that is not told the shape is one on which the shape has no effect.
+        state = {**self.network.state_dict(), **network.state_dict()}
+        self.network.load_state_dict(state)
+        self.averaged.load_state_dict(state)
 
     def run(self) -> Iterator[StepRecord]:
         """Train to the end and yield after each step; the next batch is made in the background.
@@ -261,9 +266,12 @@ def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:
 def to_device(batch: Batch, device: torch.device) -> Batch:
     """Return a batch on ``device``."""
     inputs = batch.inputs
-    moved = inputs.to(device) if isinstance(inputs, Tensor) else type(inputs)(*(array.to(device) for array in inputs))
-    others: list[Any] = [None if array is None else array.to(device) for array in batch[1:]]
-    return Batch(moved, *others)
+    moved = inputs.to(device) if isinstance(inputs, Tensor) else GridInputs(*_moved(inputs, device))
+    return Batch(moved, *_moved(batch[1:], device))
+
+
+def _moved(arrays: Iterable[Tensor | None], device: torch.device) -> list[Any]:
+    return [None if array is None else array.to(device) for array in arrays]
 
 
 def _optimizer(config: TrainingConfig, network: nn.Module) -> torch.optim.Optimizer:

@@ -86,6 +86,7 @@ PRESETS: dict[PresetName, TrainingConfig] = {
         ema=None,
     ),
     "ours": TrainingConfig(
+        network=GridNetConfig(shape=True),
         pairs=PairLossConfig(kind="focal_double_hinge", distance="l2", anchors=256, reach=1.0),
         alpha=AlphaSchedule(kind="constant"),
         learning_rate=2e-3,

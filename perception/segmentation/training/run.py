@@ -188,7 +188,7 @@ def validate(network: Network, paths: Sequence[Path], distance: str = "l2") -> d
     for path in paths:
         scene = BoundaryScene.load(path)
         started = time.perf_counter()
-        instances = predictor.predict(scene.boundary, scene.surface, scene.d_max)
+        instances = predictor.predict(scene.boundary, scene.surface, scene.d_max, scene.shape)
         times.append(time.perf_counter() - started)
         matches.append(score_scene(scene, instances))
     summary = ap_summary(matches)
