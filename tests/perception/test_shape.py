@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from perception.geometry import make_transform
 from perception.part import PartModel
-from perception.shape import same_shape, shape_signature
+from perception.shape import LARGEST, same_shape, shape_signature, shape_values
 
 
 def signature(mesh: trimesh.Trimesh) -> tuple[float, ...]:
@@ -43,3 +43,20 @@ def test_a_mesh_without_volume_is_refused() -> None:
     part = PartModel(name="lid", mesh=mesh, d_max=0.03, symmetry=None, centre=np.zeros(3))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="the mesh of 'lid' must enclose a volume, got -8e-06"):
         shape_signature(part)
+
+
+def test_the_values_of_a_shape_do_not_depend_on_its_size() -> None:
+    small, large = (signature(trimesh.creation.annulus(s, 2 * s, 1.5 * s)) for s in (0.01, 0.1))
+    np.testing.assert_allclose(shape_values(small), shape_values(large), atol=1e-9)
+
+
+def test_the_values_tell_a_slender_part_from_a_compact_one_and_are_limited() -> None:
+    rod, cube, wire = (signature(trimesh.creation.box((0.1, w, w))) for w in (0.01, 0.1, 1e-5))
+    assert (shape_values(rod)[:3] < shape_values(cube)[:3] - 1).all()
+    assert shape_values(wire).min() == -LARGEST
+
+
+@pytest.mark.parametrize("bad", [(0.1,) * 5, (0.1,) * 5 + (0.0,), (0.1,) * 5 + (np.nan,)])
+def test_what_is_no_signature_has_no_values(bad: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="signature must"):
+        shape_values(bad)

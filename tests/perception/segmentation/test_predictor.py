@@ -5,15 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from perception.instance import labels_of
 from perception.metrics.average_precision import ap_summary
+from perception.part import PartModel
 from perception.segmentation.grouping.similarity import GroupingConfig
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.output import PointOutputs
 from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
 from perception.segmentation.predictor import PredictorConfig, SegmentationPredictor
 from perception.segmentation.scoring import score_scene
+from perception.shape import shape_signature, shape_values
 from tests.perception.disc_scene import D_MAX, disc_scene
 
 SMALL = GridNetConfig(widths=(4, 5, 6, 7, 8), hidden=9, embedding=3)
@@ -89,6 +92,19 @@ def test_one_giant_instance_is_cut_to_the_parts_size() -> None:
     for instance in instances:
         points = scene.boundary.points_cam[instance.point_idx]
         assert np.ptp(points, axis=0).max() < D_MAX / 4 * 1.1
+
+
+def test_the_network_is_told_the_shape_of_the_predictors_part_or_the_given_one() -> None:
+    torch.manual_seed(0)
+    network, scene = GridNet(replace(SMALL, shape=True)), disc_scene()
+    for layer in network.shape:
+        torch.nn.init.normal_(layer.weight)
+    part = PartModel.from_mesh("rod", trimesh.creation.box((0.1, 0.01, 0.01)))
+    told, untold = SegmentationPredictor(network, part=part), SegmentationPredictor(network)
+    of_part = told.describe(scene.boundary, scene.surface, scene.d_max).embedding
+    given = untold.describe(scene.boundary, scene.surface, scene.d_max, shape_values(shape_signature(part)))
+    np.testing.assert_array_equal(of_part, given.embedding)
+    assert np.abs(of_part - untold.describe(scene.boundary, scene.surface, scene.d_max).embedding).max() > 0.1
 
 
 def test_nonsense_is_named() -> None:

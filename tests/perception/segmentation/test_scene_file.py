@@ -13,6 +13,7 @@ from perception.geometry import camera_matrix, make_transform, random_rotation
 from perception.segmentation import scene as scene_module
 from perception.segmentation.scene import SURFACE_UNIT, BoundaryScene, SceneError
 from perception.segmentation.surface import Surface
+from perception.shape import shape_values
 
 PARTS = 4
 
@@ -49,6 +50,20 @@ def empty() -> dict[str, Any]:
     """Return the fields of a scene without parts or points."""
     nothing = {"T_cam_parts": np.zeros((0, 4, 4)), "centres_cam": np.zeros((0, 3)), "visible_fractions": np.zeros(0)}
     return facts(0) | nothing
+
+
+def test_the_shape_is_kept_and_unknown_in_older_files(tmp_path: Path) -> None:
+    told = BoundaryScene(**facts(), signature=np.array([0.1, 0.09, 0.04, 0.02, 0.03, 0.03]))
+    for scene in (told, BoundaryScene(**facts())):
+        scene.save(tmp_path / "scene.npz")
+        again = BoundaryScene.load(tmp_path / "scene.npz")
+        if scene is told:
+            assert again.signature is not None
+            np.testing.assert_array_equal(again.signature, told.signature)
+            np.testing.assert_array_equal(again.shape, shape_values(told.signature))
+        else:
+            assert again.signature is None
+            assert again.shape is None
 
 
 # --- there and back --------------------------------------------------------------------------------------------------

@@ -1,11 +1,19 @@
 """The image-plane network and what it is shown."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from perception.segmentation.networks.grid import CHANNELS, DETAIL_SCALE, FINE, LOCAL, MULTIPLE, place_in, view_grid
-from perception.segmentation.networks.grid_net import GridInputs, GridNet, GridNetConfig, gather_bilinear
+from perception.segmentation.networks.grid_net import (
+    GridInputs,
+    GridNet,
+    GridNetConfig,
+    gather_bilinear,
+    shape_input,
+)
 from perception.segmentation.networks.inputs import centred
 from tests.perception.disc_scene import disc_scene
 
@@ -46,8 +54,28 @@ def test_a_point_does_not_depend_on_the_others_or_on_their_order() -> None:
     turned = network(batch._replace(place_BN2=batch.place_BN2[:, order], local_BNL=batch.local_BNL[:, order],
                                     points_BN3=batch.points_BN3[:, order]))  # fmt: skip
     torch.testing.assert_close(turned.embedding_BNF, whole.embedding_BNF[:, order])
-    alone = network(GridInputs(*(array[:1] for array in batch)))
+    alone = network(GridInputs(*(array[:1] for array in batch[:4])))
     torch.testing.assert_close(alone.confidence_BN, whole.confidence_BN[:1])
+
+
+def test_at_first_the_shape_changes_nothing_and_it_can_be_learned() -> None:
+    torch.manual_seed(0)
+    without = GridNet(SMALL).eval()
+    torch.manual_seed(0)
+    network, batch = GridNet(replace(SMALL, shape=True)).eval(), inputs()
+    told = batch._replace(shape_BS=torch.from_numpy(np.stack([shape_input(np.ones(5)), shape_input(None)])))
+    torch.testing.assert_close(network(told).embedding_BNF, without(batch).embedding_BNF, rtol=0, atol=0)
+    for layer in network.shape:
+        torch.nn.init.normal_(layer.weight)
+        torch.nn.init.normal_(layer.bias)
+    known, unknown = network(told), network(batch)
+    torch.testing.assert_close(known.embedding_BNF[1], unknown.embedding_BNF[1])
+    assert (known.embedding_BNF[0] - unknown.embedding_BNF[0]).abs().max() > 0.1
+
+
+def test_an_unknown_shape_is_zeros_and_a_known_one_ends_with_1() -> None:
+    assert shape_input(None).tolist() == [0.0] * 6
+    assert shape_input(np.arange(5.0)).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 1.0]
 
 
 def test_gathering_is_bilinear_between_cell_middles() -> None:

@@ -1,5 +1,6 @@
 """Training samples: turned, cut and thinned, but of the same parts; the same for the same step."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from perception.segmentation.training.augment import NONE, AugmentConfig, draw_k
 from perception.segmentation.training.dataset import (
     BORDER,
     CROP,
+    HIDDEN,
     BatchMaker,
     PackedScene,
     cloud_sample,
@@ -102,6 +104,18 @@ def test_a_steps_batch_depends_on_seed_rank_and_step_alone(kind: str) -> None:
     assert torch.equal(first.offsets_BN3, again.offsets_BN3)
     assert not torch.equal(first.points_BN3, other.points_BN3)
     assert not torch.equal(first.points_BN3, maker(kind, rank=1)(3).points_BN3)
+
+
+def test_the_shape_is_told_for_most_crops_of_scenes_that_know_it() -> None:
+    scenes = [replace(SCENE, shape=np.full(5, 0.5, np.float32)), SCENE]
+    batches = replace(maker(), scenes=scenes, batch=40, points=1)
+    chosen = np.random.default_rng(np.random.SeedSequence([5, 0, 0])).integers(2, size=40)
+    shape = batches(0).inputs.shape_BS.numpy()
+    told = shape[:, 5] == 1
+    assert not told[chosen == 1].any()
+    assert abs(told[chosen == 0].mean() - (1 - HIDDEN)) < 0.3
+    np.testing.assert_array_equal(shape[told], [[0.5] * 5 + [1]] * told.sum())
+    assert not shape[~told].any()
 
 
 def test_fewer_points_than_asked_for_are_repeated() -> None:

@@ -12,7 +12,6 @@ from perception.boundary import BoundaryCloud
 from perception.instance import Instance, instances_of
 from perception.segmentation.networks.grid_net import GridNetConfig
 from perception.segmentation.networks.sgpn import SgpnConfig
-from perception.segmentation.surface import Surface
 from perception.segmentation.training import run as run_module
 from perception.segmentation.training.checkpoint import FORMAT, CheckpointError, load_checkpoint, save_checkpoint
 from perception.segmentation.training.dataset import Batch, BatchMaker, PackedScene
@@ -226,6 +225,25 @@ def test_a_training_may_start_from_the_weights_of_another(tmp_path: Path) -> Non
         resume(trainer(CLOUD), replace(config, out=tmp_path / "third"))
 
 
+def test_a_network_that_is_told_the_shape_may_start_from_one_that_is_not() -> None:
+    told = replace(GRID, network=replace(GRID.network, shape=True))
+    first, second = trainer(replace(GRID, seed=1)), trainer(told)
+    second.start_from(first.network)
+    state = weights(second)
+    assert_same(weights(first), {name: value for name, value in state.items() if not name.startswith("shape.")})
+    assert not any(value.any() for name, value in state.items() if name.startswith("shape."))
+    second.start_from(trainer(replace(told, seed=2)).network)
+    with pytest.raises(TrainingError, match=r"shape=True.*this training is of .*shape=False"):
+        first.start_from(second.network)
+
+
+def test_a_checkpoint_from_before_networks_were_told_the_shape_resumes(tmp_path: Path) -> None:
+    path = tmp_path / CHECKPOINT
+    save_checkpoint(path, trainer(GRID))
+    assert "shape" not in FORMAT.load_header(path)["network"]
+    load_checkpoint(path, trainer(GRID))
+
+
 def test_the_initial_weights_are_evaluated_first_and_a_new_training_begins_a_new_log(tmp_path: Path) -> None:
     start = tmp_path / "start.safetensors"
     save_network(start, trainer(replace(GRID, seed=5)).network, {})
@@ -326,7 +344,7 @@ def test_validation_pools_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     for k, scene in enumerate(scenes):
         scene.save(tmp_path / f"scene_{k:05d}.npz")
 
-    def truth(self: object, boundary: BoundaryCloud, surface: Surface, d_max: float) -> list[Instance]:
+    def truth(self: object, boundary: BoundaryCloud, *_: object) -> list[Instance]:
         (scene,) = (s for s in scenes if np.array_equal(s.boundary.pixels, boundary.pixels))
         return instances_of(scene.instance_ids, np.ones(len(scene.centres_cam)))
 
