@@ -17,6 +17,7 @@ from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord, reco
 from binpick_env.evaluation.segmentation.summary import BANDS, load_scores
 from binpick_env.scenes.synthesis import make_scene
 from perception.boundary import BoundaryCloud
+from perception.geometry import Floats
 from perception.instance import Instance, instances_of
 from perception.runtime.records import RecordError
 from perception.segmentation.predictor import SegmentationPredictor
@@ -40,8 +41,11 @@ def predict_instead(monkeypatch: pytest.MonkeyPatch, answer: Any) -> None:
         scene = captured_scene(SCENES, index).scene
         truths[scene.boundary.pixels.tobytes()] = scene.instance_ids
 
-    def predict(_: object, boundary: BoundaryCloud, surface: Surface, d_max: float) -> list[Instance]:
+    def predict(
+        _: object, boundary: BoundaryCloud, surface: Surface, d_max: float, shape: Floats | None
+    ) -> list[Instance]:
         assert surface.depth.max() > 0
+        assert shape is not None
         assert 0.05 < d_max < 0.11
         found: list[Instance] = answer(truths[boundary.pixels.tobytes()])
         return found
