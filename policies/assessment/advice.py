@@ -10,7 +10,10 @@ from binpick_env.config import GRIPPER_STROKE
 from binpick_env.options import CellOptions
 from perception.metrics.matching import MIN_REGION
 from policies.assessment.findings import Findings
+from policies.assessment.picking import PickingFacts
 from policies.assessment.sight import JITTER
+from policies.evaluation.undelivered import LeftReason
+from policies.picking.episode import Termination
 
 AdviceKind = Literal["unit", "mesh", "symmetry", "bin", "camera", "jaw", "train"]
 MIN_POINTS = 5.0 * MIN_REGION  # a part that is visible to a fifth then has the smallest number of points that counts
@@ -106,19 +109,25 @@ def _bin(findings: Findings) -> Iterator[Advice]:
             f"(--min-parts, --max-parts)",
             because=f"a bin of {size} mm holds {facts.capacity} of these parts, and {facts.wanted} were to lie in it",
         )
-    elif picking is not None and picking.losses.picking >= LOSS and _blocked(findings) > picking.failed:
+    elif picking is not None and picking.losses.picking >= LOSS and _for_room(picking):
         yield Advice(
             kind="bin",
             text="Use a wider or shallower bin, so that the fingers reach beside the parts",
-            because=f"with true poses {_blocked(findings)} of {picking.parts} parts were left because walls and "
+            because=f"with true poses {_blocked(picking)} of {picking.parts} parts were left because walls and "
             "neighbours block the fingers or the arm",
         )
 
 
-def _blocked(findings: Findings) -> int:
+def _for_room(picking: PickingFacts) -> bool:
+    """Tell whether bins with true poses ended for want of room rather than by failed attempts."""
+    no_room, failing = (picking.ends.get(str(end), 0) for end in (Termination.ABSTAINED, Termination.TWO_FAILURES))
+    return (no_room, _blocked(picking)) > (failing, picking.failed)
+
+
+def _blocked(picking: PickingFacts) -> int:
     """Return the number of parts that were left in spite of true poses for want of room."""
-    left = {} if findings.picking is None else findings.picking.left
-    return left.get("no_clear_approach", 0) + left.get("ik_infeasible", 0)
+    reasons = LeftReason.NO_CLEAR_APPROACH, LeftReason.IK_INFEASIBLE
+    return sum(picking.left.get(str(reason), 0) for reason in reasons)
 
 
 def _camera(findings: Findings) -> Iterator[Advice]:
@@ -187,11 +196,12 @@ def _jaw(findings: Findings) -> Iterator[Advice]:
             because=f"{100 * (1 - grip.graspable_share):.0f} % of drops end in a pose from which no grasp picks the "
             f"part off the floor; the jaw takes widths up to {1000 * grip.largest_width:.0f} mm",
         )
-    elif picking is not None and picking.losses.picking >= LOSS and picking.failed > _blocked(findings):
+    elif picking is not None and picking.losses.picking >= LOSS and picking.failed and not _for_room(picking):
+        how = ", ".join(f"{count} {outcome.replace('_', ' ')}" for outcome, count in picking.failures.items())
         yield Advice(
             kind="jaw",
             text="Use another jaw: more force, or pads that fit the part",
-            because=f"with true poses {picking.failed} of {picking.attempts} attempts failed; the part weighs "
+            because=f"with true poses {picking.failed} of {picking.attempts} attempts failed ({how}); the part weighs "
             f"{1000 * findings.part.mass:.0f} g",
         )
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from binpick_env.config import Perception
 from policies.evaluation.budget import MODES, Budget
 from policies.evaluation.records import BinRecord
+from policies.grasping.outcomes import GraspOutcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +46,9 @@ class PickingFacts:
         dr: Share of the parts that was delivered, by perception.
         mpph: Mean picks per hour, by perception; None without an attempt.
         losses: Where the parts are lost.
-        failed: Number of attempts with true poses that failed.
+        failures: Number of attempts with true poses that failed, by outcome.
         attempts: Number of attempts with true poses.
+        ends: Number of bins with true poses, by the reason why they ended.
         left: Number of parts that were left in spite of true poses, by reason.
     """
 
@@ -56,9 +58,15 @@ class PickingFacts:
     dr: dict[str, float | None]
     mpph: dict[str, float | None]
     losses: Losses
-    failed: int
+    failures: dict[str, int]
     attempts: int
+    ends: dict[str, int]
     left: dict[str, int]
+
+    @property
+    def failed(self) -> int:
+        """Number of attempts with true poses that failed."""
+        return sum(self.failures.values())
 
 
 def picking_facts(budget: Budget, records: Mapping[Perception, Sequence[BinRecord]]) -> PickingFacts:
@@ -78,8 +86,9 @@ def picking_facts(budget: Budget, records: Mapping[Perception, Sequence[BinRecor
         dr={mode: budget.modes[mode].dr for mode in MODES},
         mpph={mode: budget.modes[mode].mpph for mode in MODES},
         losses=losses(budget),
-        failed=oracle.failures,
+        failures={name: n for name, n in oracle.outcomes.items() if n and name != GraspOutcome.DELIVERED},
         attempts=oracle.attempts,
+        ends={name: count for name, count in oracle.termination.items() if count},
         left=dict(reasons.most_common()),
     )
 

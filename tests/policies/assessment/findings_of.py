@@ -37,8 +37,9 @@ PICKED = PickingFacts(
     dr={"oracle": 0.99, "gt_masks": 0.98, "learned": 0.97},
     mpph={"oracle": 800.0, "gt_masks": 790.0, "learned": 780.0},
     losses=Losses(delivered=0.97, segmentation=0.01, pose=0.01, picking=0.01),
-    failed=1,
+    failures={"dropped": 1},
     attempts=75,
+    ends={"empty": 3},
     left={},
 )
 FINE = Findings(

@@ -45,18 +45,19 @@ def test_each_cause_brings_one_piece_of_advice(kind: str, findings: Findings, te
     assert because in piece.because
 
 
-def lost(failed: int = 1, left: dict[str, int] | None = None, **shares: float) -> Findings:
+def lost(ends: str = "empty", dropped: int = 1, left: dict[str, int] | None = None, **shares: float) -> Findings:
     none: dict[str, Any] = {"segmentation": 0.0, "pose": 0.0, "picking": 0.0}
     shared = Losses(**{"delivered": 1.0 - sum(shares.values()), **none, **shares})
-    return changed("picking", losses=shared, failed=failed, left=left or {})
+    return changed("picking", losses=shared, failures={"dropped": dropped}, ends={ends: 3}, left=left or {})
 
 
 def test_losses_in_spite_of_true_poses_are_for_lack_of_room_or_of_hold() -> None:
-    (room,) = advise(lost(picking=0.3, left={"no_clear_approach": 15, "ik_infeasible": 7}))
+    (room,) = advise(lost("abstained", 12, left={"no_clear_approach": 15, "ik_infeasible": 7}, picking=0.3))
     assert (room.kind, "22 of 75 parts were left" in room.because) == ("bin", True)
-    (hold,) = advise(lost(picking=0.3, failed=12, left={"no_clear_approach": 3}))
-    assert (hold.kind, "12 of 75 attempts failed; the part weighs 60 g" in hold.because) == ("jaw", True)
-    assert advise(lost(picking=0.05, failed=12)) == ()
+    # Bins that failed attempts ended leave parts behind, too, whatever their last frame says of them.
+    (hold,) = advise(lost("2F", 6, left={"no_clear_approach": 45}, picking=0.3))
+    assert (hold.kind, "6 of 75 attempts failed (6 dropped); the part weighs 60 g" in hold.because) == ("jaw", True)
+    assert advise(lost("2F", 6, picking=0.05)) == ()
 
 
 def test_lost_poses_ask_for_more_pixels() -> None:

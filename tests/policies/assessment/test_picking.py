@@ -29,6 +29,7 @@ def test_losses_are_the_differences_of_the_three_runs_and_add_up_to_all_parts(tm
     assert sum(shares) == pytest.approx(1.0)
     assert losses.largest() == "picking"
     assert (facts.parts, facts.bins, facts.failed, facts.attempts) == (20, 2, 0, 4)
+    assert (facts.failures, facts.ends) == ({}, {"abstained": 2})
     assert facts.left == {"no_clear_approach": 2, "not_tried": 1}
     assert facts.gsr == {"oracle": 1.0, "gt_masks": 0.75, "learned": 0.25}
 
