@@ -86,7 +86,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     ## Arguments
     | name | default | meaning |
     | --- | --- | --- |
-    | `part` | `"tee"` | catalogue name, path to an STL, OBJ or PLY file, or a loaded `Part` |
+    | `part` | `"tee"` | name of a catalogue or generated part, path to a mesh file, or a loaded `Part` |
     | `unit` | `None` | unit of a file's coordinates: `"m"`, `"mm"`, `"cm"`, `"inch"`; guessed from the part's size unless given |
     | `symmetry` | `"detect"` | `"none"` takes every rotation of the part for another pose |
     | `symmetry_tolerance` | `None` | largest deviation of a file's surface from itself under a symmetry [m]; 0.5 % of the diameter unless given |

@@ -14,7 +14,9 @@ from binpick_env.parts.unit import Unit
 class PartArguments:
     """What lies in which bin."""
 
-    part: str = "tee"  # part_a, part_b, part_c, tee, bracket, or the path of an STL, OBJ or PLY file
+    # part_a, part_b, part_c, tee, bracket, generated:FAMILY:INDEX, or the path of an STL, OBJ, PLY, OFF, GLB, 3MF or
+    # STEP file
+    part: str = "tee"
     unit: Unit | None = None  # length unit of a part file's coordinates; metres or millimetres, guessed, unless given
     symmetry: Literal["detect", "none"] = "detect"  # rotational symmetry of a part file; none: ignore it
     # largest deviation of a part file's surface from itself under a symmetry [m]; 0.5 % of its diameter unless given

@@ -26,7 +26,7 @@ _NEWER_FIELDS = ("jaw", "friction", "symmetry_tolerance")
 class EvaluationConfig:
     """All that a bin's record depends on, apart from its index: neither the number of bins nor of processes is here."""
 
-    part: str = "tee"  # catalogue name, or path of an STL, OBJ or PLY file
+    part: str = "tee"  # name of a catalogue or generated part, or path of a mesh file
     unit: Unit | None = None  # unit of a part file's coordinates; None guesses metres or millimetres
     symmetry: Literal["detect", "none"] = "detect"  # whether rotational symmetry is looked for in a part file's shape
     density: float | None = None  # [kg/m^3]; None takes the catalogue's, or aluminium's for a file
