@@ -10,6 +10,7 @@ from pathlib import Path
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config, generate_scenes, with_room
 from perception.runtime.files import json_text, write_atomically
+from perception.segmentation.scene import SCENES_NOTE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +111,17 @@ def make_scenes(
                 break
             yield count, making
     yield count, so_far(done=True)
+
+
+def holds_scenes_of(config: SceneConfig, folder: Path) -> bool:
+    """Tell whether a folder holds scenes that :func:`make_scenes` made with a configuration, or would add to."""
+    if not (folder / SCENES_NOTE).exists():
+        return False
+    try:
+        ensure_folder_config(with_room(config), folder)
+    except ValueError:
+        return False
+    return True
 
 
 def _require_same(config: SceneConfig, folder: Path) -> None:

@@ -24,7 +24,7 @@ PLOT = "ap.svg"  # file beside the log: average precision against minutes
 class Arguments:
     """Train a segmentation network on the scenes of one part, one network for several, or one for every part.
 
-    The training on one part starts from the network for every part and makes the scenes itself where there are none.
+    The training on one part starts from the network for every part and makes the scenes itself where there are too few.
     The same command resumes where it was stopped. Under torchrun, several processes train together.
     """
 
@@ -39,9 +39,9 @@ class Arguments:
     # ours; paper: its text to the letter; released: as the code that the paper builds on
     preset: PresetName = "ours"
     minutes: float | None = None  # length of the training, with the making of scenes [min]
-    steps: int | None = None  # length of the training in steps; the same seed and steps give the same weights
-    # number of scenes to make where one part has none; with --minutes as many as a third of them allows, up to 1000,
-    # and with --steps 200 unless given
+    steps: int | None = None  # length of the training in steps; the same seed, steps and scenes give the same weights
+    # number of scenes of one part to make, with those that are there; with --minutes as many as a third of them allows,
+    # up to 1000, and with --steps 200 unless given. Scenes of other settings suffice if they are twice --held-out
     count: int | None = None
     workers: int = 2  # number of processes that make scenes, each on one core
     seed: int = 0  # seed of weights, samples and augmentation
@@ -73,12 +73,16 @@ class Arguments:
         return part_label(self.part[0]) if len(self.part) == 1 else SHARED
 
     @property
-    def fine_tunes(self) -> bool:
-        """Whether the network for one part starts from trained weights."""
+    def of_one_part(self) -> bool:
+        """Whether the network is for one part."""
         from binpick_env.scenes.synthesis import MANY_PARTS
 
-        one = len(self.part) == 1 and self.part != (MANY_PARTS,)
-        return one and self.preset == "ours" and self.initial != "none"
+        return len(self.part) == 1 and self.part != (MANY_PARTS,)
+
+    @property
+    def fine_tunes(self) -> bool:
+        """Whether the network for one part starts from trained weights."""
+        return self.of_one_part and self.preset == "ours" and self.initial != "none"
 
     def start(self) -> Path | None:
         """Return the weights that the training starts from, or None for random ones."""
@@ -157,12 +161,16 @@ def _train(args: Arguments) -> str | None:
     import torch
 
     from perception.segmentation.training.distributed import processes
+    from perception.segmentation.weights import load_record
     from policies.commands.training_scenes import scenes_of_training
 
     if args.threads is not None:
         torch.set_num_threads(args.threads)
     with processes() as place:
-        args.length(args.config(), 1)  # nonsense is refused before scenes are made
+        args.length(args.config(), 1)  # nonsense is refused before scenes are made, and so are missing weights
+        start = args.start()
+        if start is not None:
+            load_record(start)
         making = scenes_of_training(args, place)
         return _train_at(args, place, making.seconds / 60)
 

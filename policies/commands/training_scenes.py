@@ -1,11 +1,21 @@
-"""Scenes that ``binpick train-segmentation`` makes itself where one part has none."""
+"""Scenes that ``binpick train-segmentation`` makes itself where one part has too few."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from binpick_env.scenes.timed_synthesis import Making, SceneBudget, fine_tuning_scenes, load_making, make_scenes
+from binpick_env.cell.settle import SettleError
+from binpick_env.parts.part import load_part
+from binpick_env.scenes.timed_synthesis import (
+    Making,
+    SceneBudget,
+    fine_tuning_scenes,
+    holds_scenes_of,
+    load_making,
+    make_scenes,
+)
+from perception.segmentation.scene import BoundaryScene, SceneError
 
 if TYPE_CHECKING:
     from perception.segmentation.training.distributed import Place
@@ -43,12 +53,44 @@ def scene_budget(args: "Arguments") -> SceneBudget:
 def _needed(args: "Arguments") -> bool:
     if args.count is not None and args.count < 1:
         raise ValueError(f"count must be at least 1, got {args.count}")
-    if not args.fine_tunes or args.scenes or args.initial is not None:
+    if not args.of_one_part or args.scenes:
         return False
+    paths = sorted(_folder(args).glob("scene_*.npz"))
+    if paths:
+        _require_unit(args, paths[0])
     making = load_making(args.folder() / STATE)
-    if making is not None:
+    if making is not None and args.count is None:
         return not making.done
-    return sum(1 for _ in _folder(args).glob("scene_*.npz")) < (_fewest(args) if args.count is None else args.count)
+    return len(paths) < _wanted(args)
+
+
+def _wanted(args: "Arguments") -> int:
+    """Return the number of scenes below which more are made: that of the budget if those that are there are alike."""
+    if args.count is not None:
+        return args.count
+    alike = holds_scenes_of(fine_tuning_scenes(args.part[0], args.unit), _folder(args))
+    return scene_budget(args).most if alike else _fewest(args)
+
+
+def _require_unit(args: "Arguments", path: Path) -> None:
+    """Refuse scenes of a part file that was read in another unit: their folder has the same name.
+
+    Raises:
+        ValueError: The largest diameters differ by a factor of 1.5 or more.
+    """
+    part = args.part[0]
+    if not Path(part).suffix:
+        return  # only files have a unit
+    try:
+        there = BoundaryScene.load(path).d_max
+    except SceneError:
+        return  # the training leaves it out
+    here = load_part(part, unit=args.unit).model.d_max
+    if not 1 / 1.5 < there / here < 1.5:
+        raise ValueError(
+            f"{path.parent} holds scenes of a part of {there:.3g} m, but the largest diameter of {part} is {here:.3g} "
+            "m: give the --unit that they were made with, name other folders with --scenes, or delete this one"
+        )
 
 
 def _fewest(args: "Arguments") -> int:
@@ -68,12 +110,17 @@ def _make(args: "Arguments") -> None:
     print(f"making scenes in {folder}, {_limit(budget, args.minutes)}")
     made = make_scenes(fine_tuning_scenes(args.part[0], args.unit), folder, budget, args.folder() / STATE, args.workers)
     shape = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
-    with tqdm(total=100, desc="scenes", unit="%", bar_format=shape) as bar:
-        for count, making in made:
-            share = count / budget.most if budget.seconds is None else min(making.seconds / budget.seconds, 1.0)
-            bar.n = 100 * share
-            bar.set_postfix(scenes=count, refresh=False)
-            bar.update(0)
+    try:
+        with tqdm(total=100, desc="scenes", unit="%", bar_format=shape) as bar:
+            for count, making in made:
+                share = count / budget.most if budget.seconds is None else min(making.seconds / budget.seconds, 1.0)
+                bar.n = 100 * share
+                bar.set_postfix(scenes=count, refresh=False)
+                bar.update(0)
+    except SettleError as error:
+        raise SettleError(
+            f"{error}: make scenes with binpick generate-scenes, --max-parts or --bin, and name them with --scenes"
+        ) from error
     print(f"made {count} scenes in {making.seconds / 60:.1f} min{_rest(args, making)}")
 
 

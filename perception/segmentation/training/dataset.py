@@ -161,8 +161,11 @@ def split_scenes(folders: Sequence[Path], validation: Sequence[Path], held_out: 
             stay the same when a folder grows.
 
     Raises:
+        ValueError: ``held_out`` is negative.
         FileNotFoundError: A folder holds no scenes.
     """
+    if held_out < 0:
+        raise ValueError(f"held_out must not be negative, got {held_out}")
     if validation:
         return find_scenes(folders), find_scenes(validation)
     each = [find_scenes([folder]) for folder in folders]

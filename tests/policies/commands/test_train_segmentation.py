@@ -3,6 +3,7 @@
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import torch
 import trimesh
 from safetensors.torch import load
 
+from binpick_env.cell.settle import SettleError
 from binpick_env.parts.families import HELD_OUT_FAMILIES, TRAINING_FAMILIES
 from binpick_env.parts.label import part_label
 from binpick_env.parts.part import load_part
@@ -194,6 +196,55 @@ def test_minutes_count_scenes_and_training_together(
     assert args.length(args.config(), 1, scene_minutes=3.1).minutes == pytest.approx(5.9)
     assert args.length(args.config(), 1, scene_minutes=8.0).minutes == 4.5
     assert args.length(args.config(), 1).minutes == 9.0
+
+
+def test_more_scenes_are_made_where_those_of_an_earlier_training_are_too_few(
+    drawn_scenes: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training_scenes, "MOST", 5)
+    monkeypatch.setattr(training_scenes, "COUNT", 6)
+    args = train.Arguments(part=("part_a",), held_out=1, out=Path("first"))
+    scenes_of_training(replace(args, steps=1, count=2), Place())
+    scenes_of_training(replace(args, steps=1, count=3), Place())  # although the first making is finished
+    scenes_of_training(replace(args, minutes=9.0, out=Path("longer")), Place())
+    scenes_of_training(replace(args, minutes=9.0, out=Path("seed-1")), Place())  # there are enough now
+    scenes_of_training(replace(args, steps=1, out=Path("steps")), Place())
+    assert drawn_scenes == [2, 3, 5, 6]
+
+
+def test_random_weights_get_scenes_too(drawn_scenes: list[int], judged: list[float]) -> None:
+    judged += [0.6]
+    assert call("--part", "part_a", "--steps", "1", "--count", "4", "--initial", "none") == 0
+    assert drawn_scenes == [4]
+
+
+def test_missing_weights_are_named_before_scenes_are_made(
+    drawn_scenes: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("--part", "part_a", "--steps", "1", "--initial", "nowhere.safetensors") == 2
+    assert "nowhere.safetensors does not hold a complete" in capsys.readouterr().err
+    assert drawn_scenes == []
+
+
+def test_scenes_of_a_part_file_in_another_unit_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    trimesh.creation.box((70.0, 30.0, 20.0)).export("lid.stl")  # 79 mm, as the discs
+    Path("runs/scenes-bracket-0").rename(f"runs/scenes-{part_label('lid.stl')}-0")
+    assert call("--part", "lid.stl", "--steps", "1", "--unit", "mm", "--install", "False") == 0
+    assert call("--part", "lid.stl", "--steps", "1", "--unit", "cm", "--install", "False") == 2
+    message = "holds scenes of a part of 0.08 m, but the largest diameter of lid.stl is 0.787 m: give the --unit"
+    assert message in capsys.readouterr().err
+
+
+def test_a_pile_that_does_not_settle_says_how_to_make_scenes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def unsettled(*_: Any) -> Iterator[int]:
+        raise SettleError("20 parts do not come to rest")
+        yield
+
+    monkeypatch.setattr(timed_synthesis, "generate_scenes", unsettled)
+    assert call("--part", "part_a", "--steps", "1") == 2
+    assert "do not come to rest: make scenes with binpick generate-scenes, --max-parts" in capsys.readouterr().err
 
 
 def test_a_making_that_was_stopped_goes_on_although_there_are_scenes(

@@ -168,6 +168,8 @@ def test_held_out_scenes_are_the_first_and_stay_the_same(tmp_path: Path) -> None
     disc_scene(parts=1, points_each=5).save(folders[0] / "scene_00005.npz")
     assert split_scenes(folders, [], 2)[1] == validation
     assert split_scenes(folders[:1], folders[1:], 2)[1] == find_scenes(folders[1:])
+    with pytest.raises(ValueError, match="held_out must not be negative, got -1"):
+        split_scenes(folders, [], -1)
     known, unknown = scene_sources(training)
     assert (known["part"], known["seed"], known["scenes"]) == ("nut", 4, 3)
     assert (unknown["part"], unknown["scenes"]) == (None, 1)
