@@ -262,7 +262,13 @@ def _deliver(args: Arguments, out: Path, last: "Log") -> str:
         lines.append(f"at first  {scores(first)}")
     against = objection(last, first)
     if args.install or (args.install is None and args.preset == "ours" and against is None):
-        path = install_weights(out / WEIGHTS, args.name)
+        try:
+            path = install_weights(out / WEIGHTS, args.name)
+        except OSError as error:
+            raise OSError(
+                f"the weights cannot be installed ({error}); they are kept in {out / WEIGHTS}. With another folder in "
+                "BINPICK_CACHE, the same command installs them there"
+            ) from error
         lines.append(f"installed {path} (delete it to return to the shipped weights)")
     elif args.install is None and args.preset == "ours":
         lines.append(f"not installed: {against}; the same command with --install True installs it all the same")

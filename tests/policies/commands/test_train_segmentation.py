@@ -309,6 +309,19 @@ def test_poor_networks_are_installed_only_where_that_is_asked_for(
     assert (tmp_path / "cache" / "weights" / "bracket.safetensors").exists() == (text == "installed")
 
 
+def test_a_folder_that_weights_cannot_be_installed_in_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "file"))
+    assert call("--part", "bracket", "--steps", "1", "--install", "True") == 2
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert message.startswith("error: the weights cannot be installed ")
+    assert "they are kept in runs/segmentation-bracket-ours-0/weights.safetensors" in message
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
+    assert call("--part", "bracket", "--steps", "1", "--install", "True") == 0
+
+
 def test_random_weights_are_taken_where_that_is_asked_for(
     judged: list[float], capsys: pytest.CaptureFixture[str]
 ) -> None:
