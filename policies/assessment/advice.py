@@ -213,8 +213,13 @@ def _train(findings: Findings) -> Iterator[Advice]:
     scene, part = option_words(findings.options), option_words(findings.options, only=_OF_TRAINING)
     commands = [["binpick", "train-segmentation", *part, "--minutes", "30"]]
     if set(scene) != set(part):  # a cell of one's own, whose scenes the training does not make itself
-        commands.insert(0, ["binpick", "generate-scenes", *scene, "--count", "300"])
-    again = "Train longer, on more scenes" if seen.training == "own" else "Train the segmentation on the part"
+        low, high = findings.bin.dropped
+        filled = ["--min-parts", f"{low}", "--max-parts", f"{high}"]
+        commands.insert(0, ["binpick", "generate-scenes", *scene, *filled, "--count", "300"])
+    again = "Train the segmentation on the part"
+    if seen.training == "own":
+        again = "Train longer, on more scenes"
+        commands[-1] += ["--seed", "1"]  # a folder of its own: that of seed 0 holds a training of another length
     yield Advice(
         kind="train",
         text=f"{again}: {' && '.join(map(shlex.join, commands))}",

@@ -13,6 +13,7 @@ from policies.assessment.picking import Losses
 from tests.policies.assessment.findings_of import FINE, changed
 
 NEAR = NearSymmetry(angle_deg=180.0, axis=(0.0, 0.0, 1.0), deviation=0.0006, tolerance=0.0004)
+LOW = changed("perception", ap=0.5).perception
 CASES: list[tuple[str, Findings, str, str]] = [
     ("unit", changed("part", other_units={"cm": 0.22}), "--unit cm", "mm was guessed"),
     ("mesh", changed("part", repairs=("4 open edges closed",)), "closed solid", "4 open edges closed"),
@@ -107,6 +108,12 @@ def test_advice_is_in_the_order_in_which_to_follow_it() -> None:
 def test_training_scenes_have_the_cells_options() -> None:
     options = CellOptions(part="a clip.stl", bin=(0.3, 0.2, 0.1), jaw=0.05, hand_eye_mm=2.0, camera_distance=1.0)
     assert option_words(options) == ["--part", "a clip.stl", "--bin", "0.3", "0.2", "0.1", "--camera-distance", "1.0"]
-    (piece,) = advise(replace(changed("perception", ap=0.5), options=options))
-    assert "generate-scenes --part 'a clip.stl' --bin 0.3 0.2 0.1 --camera-distance 1.0 --count 300" in piece.text
-    assert "train-segmentation --part 'a clip.stl' --minutes 30" in piece.text
+    (piece,) = advise(replace(changed("bin", dropped=(7, 7)), perception=LOW, options=options))
+    scenes = "--bin 0.3 0.2 0.1 --camera-distance 1.0 --min-parts 7 --max-parts 7 --count 300"
+    assert f"generate-scenes --part 'a clip.stl' {scenes}" in piece.text
+    assert piece.text.endswith("train-segmentation --part 'a clip.stl' --minutes 30")
+
+
+def test_a_training_that_is_longer_than_the_last_one_has_a_folder_of_its_own() -> None:
+    (piece,) = advise(changed("perception", ap=0.5, training="own"))
+    assert piece.text.endswith("--minutes 30 --seed 1")
