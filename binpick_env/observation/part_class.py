@@ -13,9 +13,8 @@ ShapeClass = Literal["compact", "flat", "slender"]
 # Upper limits of d_max in the image of small and medium parts [px]. They divide 20 to 200 mm, which the standard camera
 # shows at 53 to 533 px, into three equal parts on a logarithmic scale.
 SIZE_LIMITS_PX = (115.0, 248.0)
-AXIS_RATIO = (
-    2 / 3
-)  # smallest ratio of two successive axes of a compact part: Zingg, "Beitrag zur Schotteranalyse", 1935
+# Smallest ratio of two successive axes of a compact part: Zingg, "Beitrag zur Schotteranalyse", 1935.
+AXIS_RATIO = 2 / 3
 
 
 class PartClass(NamedTuple):

@@ -7,10 +7,10 @@ Shapes: V bins, Q quantiles.
 import json
 import logging
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ _log = logging.getLogger(__name__)
 SHIPPED = Path(__file__).resolve().parent / "noise"
 GENERAL = "general"  # name of the model for every part
 NOISE_VERSION = 1
+_Model = TypeVar("_Model")
 
 
 class NoiseError(ValueError):
@@ -135,9 +136,7 @@ class PerceptionNoise:
         try:
             _require_version(values)
             return cls(
-                bins=tuple(
-                    NoiseBin(**{**each, "spread": Spread.from_plain(each["spread"])}) for each in values["bins"]
-                ),
+                bins=tuple(NoiseBin.from_plain(each) for each in values["bins"]),
                 wrong=Spread.from_plain(values["wrong"]),
                 false_rate=values["false_rate"],
                 false_score=tuple(values["false_score"]),
@@ -153,7 +152,7 @@ class PerceptionNoise:
         Raises:
             NoiseError: The file is missing or does not hold a model of this version.
         """
-        return cls.from_plain(_read(path))
+        return _loaded(path, cls.from_plain)
 
     @classmethod
     def for_part(
@@ -248,7 +247,7 @@ class GeneralNoise:
         Raises:
             NoiseError: The file is missing or does not hold a model for every part, of this version.
         """
-        return cls.from_plain(_read(path))
+        return _loaded(path, cls.from_plain)
 
 
 def general_file(sensor: str) -> Path:
@@ -274,6 +273,14 @@ def _read(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise NoiseError(f"{path} holds no noise model ({error})") from error
     return values
+
+
+def _loaded(path: Path, build: Callable[[dict[str, Any]], _Model]) -> _Model:
+    values = _read(path)
+    try:
+        return build(values)
+    except ValueError as error:
+        raise NoiseError(f"{path} cannot be used: {error}") from error
 
 
 def _require_version(values: dict[str, Any]) -> None:

@@ -2,7 +2,7 @@
 
 import json
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -148,11 +148,6 @@ def load_bins(folder: Path, count: int) -> list[ObservedBin]:
         FileNotFoundError: A bin has not been observed.
     """
     return [ObservedBin.load(bin_path(folder, index)) for index in range(count)]
-
-
-def frames_of(bins: Sequence[ObservedBin]) -> list[FrameObservation]:
-    """Return the frames of the bins whose pile came to rest."""
-    return [each.frame for each in bins if each.frame is not None]
 
 
 _cells: dict[tuple[Any, ...], BinPickEnv] = {}  # the last environment of this process, which takes seconds to build

@@ -214,6 +214,15 @@ def test_a_missing_or_damaged_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "half.json").write_text("{")
     with pytest.raises(NoiseError, match=r"half\.json holds no noise model"):
         PerceptionNoise.load(tmp_path / "half.json")
+    save_noise(tmp_path / "tee_good.json", model())
+    with pytest.raises(
+        NoiseError, match=r"tee_good\.json cannot be used: the noise model for every part is incomplete"
+    ):
+        GeneralNoise.load(tmp_path / "tee_good.json")
+    for bins, text in (([{"high": 0.5}], "is incomplete"), ([], r"bins must rise and end at 1, got \[\]")):
+        (tmp_path / "bad.json").write_text(json.dumps(model().plain() | {"bins": bins}))
+        with pytest.raises(NoiseError, match=rf"bad\.json cannot be used: .*{text}"):
+            PerceptionNoise.load(tmp_path / "bad.json")
 
 
 def test_a_part_without_a_model_names_the_command(tmp_path: Path) -> None:
