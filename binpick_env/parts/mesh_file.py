@@ -115,7 +115,9 @@ def _repair(before: trimesh.Trimesh, after: trimesh.Trimesh) -> str:
     """Return in words what closing a mesh changed."""
     counts = np.unique(before.edges_sorted, axis=0, return_counts=True)[1]
     grown = 100 * (float(after.area) / float(before.area) - 1)
-    return f"{int(np.sum(counts == 1))} open edges closed, which changed the surface's area by {grown:+.2g} %"
+    lone, crowded = int(np.sum(counts == 1)), int(np.sum(counts > 2))
+    what = f"{lone} open edges closed" if lone else f"{crowded} edges of more than two faces separated"
+    return f"{what}, which changed the surface's area by {grown:+.2g} %"
 
 
 def _of_fewer_faces(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:

@@ -9,6 +9,7 @@ import trimesh
 from binpick_env.parts import load_part
 from binpick_env.parts.file_facts import FileFacts
 from binpick_env.parts.mesh_file import read_mesh
+from perception.geometry import make_transform
 from tests.binpick_env.parts.part_meshes import ell
 
 creation = trimesh.creation
@@ -47,6 +48,16 @@ def test_a_closed_hole_is_a_repair_with_the_area_that_it_added(tmp_path: Path) -
     box.export(tmp_path / "tub.stl")
     (repair,) = facts_of(tmp_path / "tub.stl").repairs
     assert repair == "4 open edges closed, which changed the surface's area by +29 %"
+
+
+def test_edges_of_more_than_two_faces_are_a_repair(tmp_path: Path) -> None:
+    near, far = (
+        creation.box((0.02, 0.02, 0.01), make_transform(translation=np.full(3, k) * (1, 1, 0))) for k in (0, 0.02)
+    )
+    trimesh.util.concatenate([near, far]).export(tmp_path / "edge.stl")
+    facts = facts_of(tmp_path / "edge.stl")
+    assert facts.repairs == ("1 edges of more than two faces separated, which changed the surface's area by +0 %",)
+    assert facts.bodies == 2
 
 
 def test_a_simplified_mesh_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
