@@ -101,6 +101,9 @@ class Trainer:
         self.optimizer = _optimizer(config, self.network)
         self.step = 0
         self.elapsed = 0.0
+        self.initial: dict[str, Any] | None = (
+            None  # record of the network that it started from; None for random weights
+        )
         self.whole = True  # whether no step is under way, so that the state can be saved
         self._skips = 0
         self._parallel: nn.Module = self.network

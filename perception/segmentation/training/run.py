@@ -67,6 +67,8 @@ Judge = Callable[[Network], dict[str, float]]  # returns the named scores of a n
 def resume(trainer: Trainer, config: RunConfig) -> bool:
     """Resume a training from the checkpoint in its folder, or start it from the initial weights if there is none.
 
+    A checkpoint tells which weights the training started from, whatever the initial weights are now.
+
     Returns:
         Whether there was a checkpoint.
 
@@ -76,6 +78,8 @@ def resume(trainer: Trainer, config: RunConfig) -> bool:
         TrainingError: The initial weights are those of another network.
     """
     path = config.out / CHECKPOINT
+    if config.initial is not None:
+        trainer.initial = record_of_initial(load_record(config.initial))
     if not path.exists():
         if config.initial is not None:
             trainer.start_from(load_network(config.initial))
@@ -154,7 +158,7 @@ def training_record(trainer: Trainer, config: RunConfig, last: Log) -> Log:
         **({"scene_minutes": config.scene_minutes} if config.scene_minutes else {}),
         **config.sources,
         "epochs": trainer.epoch,
-        "initial": None if config.initial is None else record_of_initial(load_record(config.initial)),
+        "initial": trainer.initial,
         "validation": last.get("validation"),
         "git_commit": git_commit(),
         "command": command_line(),

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from perception.boundary import BoundaryCloud
 from perception.instance import Instance, instances_of
@@ -267,6 +268,26 @@ def test_the_initial_weights_are_evaluated_first_and_a_new_training_begins_a_new
             (1, 0.2, 1.5),
         ]
     assert load_record(config.out / WEIGHTS)["scene_minutes"] == 1.5
+
+
+def test_a_resumed_training_names_the_weights_that_it_did_start_from(tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        save_network(tmp_path / name, trainer(GRID).network, {"parts": [name], "versions": {"torch": name}})
+    one, other = (RunConfig(out=tmp_path, parts=("disc",), initial=tmp_path / name) for name in ("first", "second"))
+    begun = trainer(GRID, steps=1)
+    resume(begun, one)
+    train(begun, [], one)
+    resumed = trainer(GRID, steps=1)
+    assert resume(resumed, other)
+    train(resumed, [], other)
+    assert load_record(tmp_path / WEIGHTS)["initial"]["parts"] == ["first"]
+    older = FORMAT.load_header(tmp_path / CHECKPOINT)
+    del older["initial"]
+    FORMAT.save_tensors(tmp_path / CHECKPOINT, load_file(tmp_path / CHECKPOINT), older)
+    resumed = trainer(GRID, steps=1)
+    resume(resumed, other)
+    assert resumed.initial is not None
+    assert resumed.initial["parts"] == ["second"]  # older checkpoints do not tell
 
 
 def test_a_log_is_read_without_lines_that_were_cut_off(tmp_path: Path) -> None:
