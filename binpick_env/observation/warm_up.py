@@ -15,9 +15,8 @@ from perception.geometry import Floats, make_transform, quat_from_matrix, rotati
 from perception.part import PartModel
 
 _CAMERA = CameraConfig(width=640, height=480)
-_LEAST = (
-    0.06  # d_max below which the camera magnifies [m], so that a small part is as long in the image as one of 0.06 m
-)
+# d_max below which the camera magnifies [m], so that a small part is as long in the image as one of 0.06 m.
+_LEAST = 0.06
 
 
 def warm_up_capture(part: PartModel, workspace: Workspace) -> LabelledCapture:
