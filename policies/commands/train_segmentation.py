@@ -126,7 +126,9 @@ class Arguments:
 
         if self.minutes is None and self.steps is None and self.preset != "ours":
             return Length(steps=EPOCHS * scenes // (config.batch * world))
-        minutes = None if self.minutes is None else max(self.minutes - scene_minutes, self.minutes / 2)
+        minutes = self.minutes
+        if minutes is not None and scene_minutes > 0:
+            minutes = max(minutes - scene_minutes, minutes / 2)
         return Length(steps=self.steps, minutes=minutes)
 
     def interval(self, length: "Length") -> float:

@@ -53,6 +53,8 @@ def scene_budget(args: "Arguments") -> SceneBudget:
 def _needed(args: "Arguments") -> bool:
     if args.count is not None and args.count < 1:
         raise ValueError(f"count must be at least 1, got {args.count}")
+    if args.held_out < 0:  # as `split_scenes` does, but before scenes are made
+        raise ValueError(f"held_out must not be negative, got {args.held_out}")
     if not args.of_one_part or args.scenes:
         return False
     paths = sorted(_folder(args).glob("scene_*.npz"))

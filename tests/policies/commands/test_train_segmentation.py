@@ -110,6 +110,8 @@ def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
         (["--part", "screw", "--steps", "1"], "screw"),
         (["--part", "tee", "--steps", "1", "--count", "4"], "runs/scenes-tee-0 holds too few scenes"),
         (["--part", "part_a", "--steps", "1", "--count", "0"], "count must be at least 1, got 0"),
+        (["--part", "part_a", "--steps", "1", "--held-out", "-1"], "held_out must not be negative, got -1"),
+        (["--part", "part_a", "--minutes", "-1"], "minutes -1.0"),
         (
             ["--part", "bracket", "--steps", "1", "--initial", "nowhere.safetensors"],
             "nowhere.safetensors does not hold a complete",
