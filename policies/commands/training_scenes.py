@@ -57,7 +57,7 @@ def _needed(args: "Arguments") -> bool:
         raise ValueError(f"held_out must not be negative, got {args.held_out}")
     if not args.of_one_part or args.scenes:
         return False
-    paths = sorted(_folder(args).glob("scene_*.npz"))
+    paths = _scenes(args)
     if paths:
         _require_unit(args, paths[0])
     making = load_making(args.folder() / STATE)
@@ -106,9 +106,13 @@ def _folder(args: "Arguments") -> Path:
     return default_scenes(args.part[0])
 
 
+def _scenes(args: "Arguments") -> list[Path]:
+    return sorted(_folder(args).glob("scene_*.npz"))
+
+
 def _make(args: "Arguments") -> None:
     """Make scenes and show how far that is."""
-    budget, folder = scene_budget(args), _folder(args)
+    budget, folder, before = scene_budget(args), _folder(args), len(_scenes(args))
     print(f"making scenes in {folder}, {_limit(budget, args.minutes)}")
     made = make_scenes(fine_tuning_scenes(args.part[0], args.unit), folder, budget, args.folder() / STATE, args.workers)
     shape = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
@@ -123,7 +127,9 @@ def _make(args: "Arguments") -> None:
         raise SettleError(
             f"{error}: make scenes with binpick generate-scenes, --max-parts or --bin, and name them with --scenes"
         ) from error
-    print(f"made {count} scenes in {making.seconds / 60:.1f} min{_rest(args, making)}")
+    besides = f" besides {before} that were there" if before else ""
+    made_now = len(_scenes(args)) - before
+    print(f"made {made_now} scenes{besides} in {making.seconds / 60:.1f} min{_rest(args, making)}")
 
 
 def _limit(budget: SceneBudget, minutes: float | None) -> str:

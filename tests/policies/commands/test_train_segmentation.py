@@ -201,7 +201,7 @@ def test_minutes_count_scenes_and_training_together(
 
 
 def test_more_scenes_are_made_where_those_of_an_earlier_training_are_too_few(
-    drawn_scenes: list[int], monkeypatch: pytest.MonkeyPatch
+    drawn_scenes: list[int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(training_scenes, "MOST", 5)
     monkeypatch.setattr(training_scenes, "COUNT", 6)
@@ -212,6 +212,7 @@ def test_more_scenes_are_made_where_those_of_an_earlier_training_are_too_few(
     scenes_of_training(replace(args, minutes=9.0, out=Path("seed-1")), Place())  # there are enough now
     scenes_of_training(replace(args, steps=1, out=Path("steps")), Place())
     assert drawn_scenes == [2, 3, 5, 6]
+    assert "made 1 scenes besides 5 that were there in 0.0 min" in capsys.readouterr().out
 
 
 def test_random_weights_get_scenes_too(drawn_scenes: list[int], judged: list[float]) -> None:
