@@ -41,10 +41,12 @@ class Making:
     Attributes:
         seconds: Time spent, over all starts [s].
         done: Whether all scenes are made, or the time is over.
+        scenes: Names of the scenes' files once it is done, since another training may add to the folder.
     """
 
     seconds: float = 0.0
     done: bool = False
+    scenes: tuple[str, ...] = ()
 
 
 def load_making(path: Path) -> Making | None:
@@ -57,8 +59,9 @@ def load_making(path: Path) -> Making | None:
         return None
     try:
         values = json.loads(path.read_text())
-        return Making(seconds=float(values["seconds"]), done=bool(values["done"]))
-    except (ValueError, TypeError, KeyError) as error:
+        scenes = tuple(str(name) for name in values.get("scenes", ()))
+        return Making(seconds=float(values["seconds"]), done=bool(values["done"]), scenes=scenes)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ValueError(f"{path} is damaged ({error!r}); delete it, or choose another folder") from error
 
 
@@ -98,7 +101,8 @@ def make_scenes(
     _require_same(config, folder)
 
     def so_far(done: bool) -> Making:
-        making = Making(seconds=before + time.perf_counter() - started, done=done)
+        names = tuple(sorted(path.name for path in folder.glob("scene_*.npz"))) if done else ()
+        making = Making(seconds=before + time.perf_counter() - started, done=done, scenes=names)
         write_atomically(state, json_text(asdict(making)))
         return making
 

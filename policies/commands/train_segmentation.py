@@ -108,9 +108,12 @@ class Arguments:
     def files(self) -> tuple[list[Path], list[Path]]:
         """Return the scene files to train and to validate on."""
         from perception.segmentation.training.dataset import split_scenes
+        from policies.commands.training_scenes import scenes_made
 
         folders = self.scenes or tuple(default_scenes(part) for part in self.part)
-        return split_scenes(folders, self.validation, self.held_out)
+        training, validation = split_scenes(folders, self.validation, self.held_out)
+        made = scenes_made(self)
+        return [path for path in training if not made or path.name in made], validation
 
     def length(self, config: "TrainingConfig", scenes: int, world: int = 1, scene_minutes: float = 0.0) -> "Length":
         """Return how long to train: the paper's 200 epochs for its presets where nothing is said.

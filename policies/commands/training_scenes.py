@@ -41,6 +41,17 @@ def scenes_of_training(args: "Arguments", place: "Place") -> Making:
     return load_making(args.folder() / STATE) or Making()
 
 
+def scenes_made(args: "Arguments") -> frozenset[str]:
+    """Return the names of the scenes that the training is on; empty for all, unless it made some itself.
+
+    Scenes that another training added since are not among them, so that the training can be resumed.
+    """
+    if not args.of_one_part or args.scenes:
+        return frozenset()
+    making = load_making(args.folder() / STATE)
+    return frozenset() if making is None else frozenset(making.scenes)
+
+
 def scene_budget(args: "Arguments") -> SceneBudget:
     """Return how many scenes to make, and within which time."""
     if args.count is not None or args.minutes is None:

@@ -39,13 +39,17 @@ def made(tmp_path: Path, least: int = 1, most: int = 100, seconds: float | None 
     return make_scenes(fine_tuning_scenes("tee"), tmp_path / "scenes", budget, tmp_path / "time.json")
 
 
+def done(seconds: float, count: int) -> Making:
+    return Making(seconds=seconds, done=True, scenes=tuple(f"scene_{index:05d}.npz" for index in range(count)))
+
+
 def files(tmp_path: Path) -> int:
     return len(list((tmp_path / "scenes").glob("scene_*.npz")))
 
 
 def test_scenes_are_made_until_the_time_is_over(clock: list[float], tmp_path: Path) -> None:
     steps = list(made(tmp_path, seconds=35.0))
-    assert steps[-1] == (4, Making(seconds=4 * SECONDS, done=True))
+    assert steps[-1] == (4, done(4 * SECONDS, 4))
     assert [making.done for _, making in steps] == [False, False, False, True]
     assert load_making(tmp_path / "time.json") == steps[-1][1]
     assert files(tmp_path) == 4
@@ -58,15 +62,15 @@ def test_a_resumed_making_has_the_rest_of_the_time(clock: list[float], tmp_path:
     assert load_making(tmp_path / "time.json") == Making(seconds=2 * SECONDS, done=False)
     clock[0] += 1000.0  # between the two starts
     *_, last = made(tmp_path, seconds=55.0)
-    assert last == (6, Making(seconds=6 * SECONDS, done=True))
+    assert last == (6, done(6 * SECONDS, 6))
     assert files(tmp_path) == 6
 
 
 def test_least_and_most_bound_the_number(clock: list[float], tmp_path: Path) -> None:
     *_, last = made(tmp_path, least=3, seconds=1.0)
-    assert last == (3, Making(seconds=3 * SECONDS, done=True))
+    assert last == (3, done(3 * SECONDS, 3))
     *_, last = made(tmp_path, most=5)
-    assert last == (5, Making(seconds=5 * SECONDS, done=True))
+    assert last == (5, done(5 * SECONDS, 5))
 
 
 def test_scenes_of_other_settings_are_not_mixed_in(clock: list[float], tmp_path: Path) -> None:
@@ -102,6 +106,8 @@ def test_a_bin_gets_no_more_parts_than_it_has_room_for() -> None:
 
 def test_a_damaged_state_is_named(tmp_path: Path) -> None:
     assert load_making(tmp_path / "time.json") is None
+    (tmp_path / "time.json").write_text('{"seconds": 1.0, "done": true}')  # older files do not name scenes
+    assert load_making(tmp_path / "time.json") == Making(seconds=1.0, done=True)
     for text in ("{", '{"seconds": 1.0}', "[]"):
         (tmp_path / "time.json").write_text(text)
         with pytest.raises(ValueError, match=r"time\.json is damaged .*; delete it, or choose another folder"):

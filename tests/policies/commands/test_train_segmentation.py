@@ -212,6 +212,9 @@ def test_more_scenes_are_made_where_those_of_an_earlier_training_are_too_few(
     scenes_of_training(replace(args, minutes=9.0, out=Path("seed-1")), Place())  # there are enough now
     scenes_of_training(replace(args, steps=1, out=Path("steps")), Place())
     assert drawn_scenes == [2, 3, 5, 6]
+    # A training stays on the scenes that it began with, so that it can be resumed.
+    for out, count in (("first", 3), ("longer", 5), ("seed-1", 6), ("steps", 6)):
+        assert sum(len(paths) for paths in replace(args, out=Path(out)).files()) == count
     assert "made 1 scenes besides 5 that were there in 0.0 min" in capsys.readouterr().out
 
 
