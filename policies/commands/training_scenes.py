@@ -73,7 +73,7 @@ def _needed(args: "Arguments") -> bool:
         _require_unit(args, paths[0])
     making = load_making(args.folder() / STATE)
     if making is not None and args.count is None:
-        return not making.done
+        return not making.done or not paths  # scenes that were deleted are made again
     return len(paths) < _wanted(args)
 
 

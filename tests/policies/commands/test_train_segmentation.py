@@ -1,6 +1,7 @@
 """`binpick train-segmentation` from scenes to installed weights, alone and in two processes."""
 
 import json
+import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -273,6 +274,9 @@ def test_a_making_that_was_stopped_goes_on_although_there_are_scenes(
     assert first.done
     assert scenes_of_training(args, Place()) == first
     assert drawn_scenes == [4, 4]
+    shutil.rmtree("runs/scenes-part_a-0")
+    again = scenes_of_training(args, Place())
+    assert (again.done, again.scenes, drawn_scenes) == (True, first.scenes, [4, 4, 4])
 
 
 def test_evaluations_are_a_sixth_of_the_training_apart_from_one_to_ten_minutes() -> None:
