@@ -141,7 +141,7 @@ def check_train_segmentation(line: Line) -> None:
     assert found.training == "own"
     record = load_record(found.path)
     assert record["steps"] >= 1
-    assert record["initial"]["parts"] == load_record(SHIPPED / "shared.safetensors")["parts"]
+    assert record["initial"]["parts"] == load_record(SHIPPED / "general.safetensors")["parts"]
     assert [source["scenes"] for source in record["trained_on"]] == [1]
     assert ("scene_minutes" in record) == ("making scenes in" in line.shown) == (line.args.scenes == ())
 

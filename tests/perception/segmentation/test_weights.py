@@ -1,6 +1,7 @@
 """Weights on disk: found by name, read back to the bit, refused when they are not whole."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
 from perception.segmentation.weights import (
     FORMAT,
+    GENERAL,
     SHARED,
     SHIPPED,
     FoundWeights,
@@ -197,6 +199,20 @@ def test_weights_for_the_catalogue_are_shipped(part: str) -> None:
     assert {"training", "steps", "minutes", "scenes", "validation", "git_commit"} <= record.keys()
     assert json.loads(path.with_suffix(".json").read_text()) == record
     load_network(path)
+
+
+def test_weights_for_every_part_are_shipped_and_name_the_families_that_no_training_saw() -> None:
+    path = SHIPPED / f"{GENERAL}.safetensors"
+    record = load_record(path)
+    lineage = [record, record["initial"], record["initial"]["initial"]]
+    assert not set(record["held_out_families"]) & {family for each in lineage for family in each.get("families", [])}
+    assert len(record["held_out_families"]) == 9
+    assert [training_of(record, box(f"{family}:0", 0.02, 0.03, 0.04)) for family in record["held_out_families"]] == (
+        ["zero-shot"] * 9
+    )
+    assert training_of(record, box("generated:hex_bolt:99", 0.02, 0.03, 0.04)) == "family"
+    assert json.loads(path.with_suffix(".json").read_text()) == record
+    assert load_network(path).config == replace(GridNetConfig(), shape=True)
 
 
 def test_a_training_on_one_part_starts_from_the_network_for_every_part(folders: tuple[Path, Path]) -> None:

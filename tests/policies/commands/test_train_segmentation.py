@@ -160,7 +160,7 @@ def test_one_part_makes_its_scenes_and_starts_from_the_network_for_every_part(
     assert call("--part", "part_a", "--steps", "1", "--count", "4") == 0
     shown = capsys.readouterr().out
     assert "making scenes in runs/scenes-part_a-0, 4 of them" in shown
-    assert f"starting from {SHIPPED / 'shared.safetensors'}" in shown
+    assert f"starting from {SHIPPED / 'general.safetensors'}" in shown
     assert "validated AP50 0.700, AP75 0.700, AP 0.700\nat first  AP50 0.600" in shown
     out = tmp_path / "runs" / "segmentation-part_a-ours-0"
     assert [line["step"] for line in read_log(out / LOG)] == [0, 1]
@@ -168,7 +168,7 @@ def test_one_part_makes_its_scenes_and_starts_from_the_network_for_every_part(
     record = load_record(out / WEIGHTS)
     assert (record["scenes"], record["trained_on"][0]["sensor"]) == (3, "all")
     assert record["training"]["learning_rate"] == fine_tuning(PRESETS["ours"]).learning_rate
-    assert record["initial"]["parts"] == load_record(SHIPPED / "shared.safetensors")["parts"]
+    assert record["initial"]["parts"] == load_record(SHIPPED / "general.safetensors")["parts"]
     assert record["scene_minutes"] > 0
     assert find_weights(load_part("part_a").model).path == tmp_path / "cache" / "weights" / "part_a.safetensors"
     first = (out / CHECKPOINT).read_bytes()
