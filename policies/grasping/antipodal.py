@@ -14,7 +14,7 @@ from perception.geometry import Floats
 from policies.grasping._kernels import clear_of_solid, fill_solid
 from policies.grasping.gripper import PAD_SIZE, GripperModel
 
-_GRID = (6, 9)  # rays across and along a pad
+_GRID = (6, 9)  # rays across and along a pad, on a part that is not thin
 _TOUCH = 1e-3  # depth behind the first contact within which a surface touches the pad: rubber, and tilt [m]
 _START = 6e-3  # distance from the faces at which closing begins [m]
 
@@ -170,14 +170,21 @@ class Contacts:
     middle: Floats
 
 
-def close_pads(mesh: trimesh.Trimesh, T_part_grasp: Floats, widths: Floats) -> Contacts:
+def close_pads(mesh: trimesh.Trimesh, T_part_grasp: Floats, widths: Floats, scale: float = 1.0) -> Contacts:
     """Close both pads on (N, 4, 4) grasps from just outside of (N,) ``widths`` [m] until each first touches the part.
 
+    Args:
+        mesh: Watertight mesh [m].
+        T_part_grasp: (N, 4, 4) grasps.
+        widths: (N,) distances between the faces that the lines of the grasps meet [m].
+        scale: Spacing of the rays as a share of 4 mm.
+
     Note:
-        108 rays a grasp, about 0.1 ms. Features narrower than the rays' 4 mm can slip through.
+        108 rays a grasp, about 0.1 ms, at scale 1. Features narrower than the rays' spacing can slip through.
     """
-    x = (np.arange(_GRID[0]) + 0.5) / _GRID[0] * PAD_SIZE[0] - PAD_SIZE[0] / 2
-    z = (np.arange(_GRID[1]) + 0.5) / _GRID[1] * PAD_SIZE[2] - PAD_SIZE[2]
+    across, along = (int(np.ceil(count / scale)) for count in _GRID)
+    x = (np.arange(across) + 0.5) / across * PAD_SIZE[0] - PAD_SIZE[0] / 2
+    z = (np.arange(along) + 0.5) / along * PAD_SIZE[2] - PAD_SIZE[2]
     grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1).reshape(-1, 2)
     sides = [_first_touch(mesh, T_part_grasp, widths, grid, side) for side in (1.0, -1.0)]
     (reach_p, normal_p), (reach_n, normal_n) = sides  # along +y and along -y from the grasp's origin

@@ -37,7 +37,8 @@ class GraspSettings:
     max_opening: float = 0.084  # largest distance between the pads on the approach; the stroke is 0.085
     part_margin: float = 0.001  # distance of the open gripper from the part
     side_margin: float = 0.002  # room beside a closed pad; a pad wedged between two collars does not release the part
-    min_area: float = 0.04  # least share of a pad's face that touches the part
+    min_area: float = 0.04  # least share of a pad's face that touches the part, if the part is not thin
+    thin: float = 0.012  # thickness under which a part is thin: the contact is then searched more finely
     max_grasps: int = 4000  # largest number of grasps kept
     max_checked: int = 20000  # largest number of poses whose pads are closed, drawn evenly from the collision-free ones
 
@@ -45,6 +46,8 @@ class GraspSettings:
         for name in ("samples", "turns", "max_grasps", "max_checked"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not self.thin > 0:
+            raise ValueError(f"thin must be positive, got {self.thin}")
         if not 0 < self.friction < 2:
             raise ValueError(f"friction must be in (0, 2), got {self.friction}")
         if not 0 < self.min_width < self.max_width < self.max_opening:
@@ -178,8 +181,9 @@ def _settings_for(settings: GraspSettings | None, jaw: float | None) -> GraspSet
 
 def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, seed: int) -> GraspSet:
     mesh, rng = model.mesh, np.random.default_rng(seed)
+    scale = _contact_scale(mesh, settings)
     widths = settings.min_width, settings.max_width
-    lines = opposite_faces(mesh, settings.samples, settings.min_cosine, widths, seed)
+    lines = opposite_faces(mesh, round(settings.samples / scale), settings.min_cosine, widths, seed)
     T, width = grasps_on_lines(*lines, settings.turns, settings.depths)
     counts = {"lines through the part": len(lines[0]), "poses": len(T)}
     solid = Solid.from_mesh(mesh)
@@ -191,9 +195,9 @@ def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, s
     counts["clear of the part when open"] = len(chosen)
     if len(chosen) > settings.max_checked:
         chosen = np.sort(rng.choice(chosen, settings.max_checked, replace=False))
-    T, contacts = T[chosen], close_pads(mesh, T[chosen], width[chosen])
+    T, contacts = T[chosen], close_pads(mesh, T[chosen], width[chosen], scale)
     T[:, :3, 3] += contacts.shift[:, None] * T[:, :3, 1]
-    firm = (contacts.area >= settings.min_area) & (contacts.alignment >= settings.min_cosine)
+    firm = (contacts.area >= scale**2 * settings.min_area) & (contacts.alignment >= settings.min_cosine)
     firm &= (contacts.width >= settings.min_width) & (contacts.width <= settings.max_width)
     firm &= contacts.offset <= settings.friction * np.maximum(contacts.width, 0.01)
     counts["firm contact"] = int(firm.sum())
@@ -211,8 +215,35 @@ def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, s
     if len(found) == 0:
         _log.warning("no grasp on %r; left after each filter: %s", model.name, counts)
         return found
-    cover = _replicate(found.take(_spread(found, settings.max_grasps)), model)
-    return cover.take(_spread(cover, settings.max_grasps))
+    cover = _replicate(found.take(_spread(found, settings.max_grasps, _shallow(found, mesh, settings))), model)
+    return cover.take(_spread(cover, settings.max_grasps, _shallow(cover, mesh, settings)))
+
+
+def _contact_scale(mesh: trimesh.Trimesh, settings: GraspSettings) -> float:
+    """Return how much finer the contacts on a thin part are searched, in [0.5, 1]: 1 for a part that is not thin.
+
+    A plate of 4 mm on the floor is held by the last 3 mm of the pads, which rays 4 mm apart do not resolve.
+    """
+    thickness = float(mesh.bounding_box_oriented.primitive.extents.min())
+    return float(np.clip(thickness / settings.thin, 0.5, 1.0))
+
+
+def _shallow(found: GraspSet, mesh: trimesh.Trimesh, settings: GraspSettings) -> NDArray[np.bool_]:
+    """Return the (N,) mask of grasps that pick a thin part off the floor on which it lies flat; none if it is not thin.
+
+    They have less contact than deeper ones, and would otherwise be thinned out in their favour.
+    """
+    box = mesh.bounding_box_oriented.primitive
+    thinnest = int(np.argmin(box.extents))
+    if box.extents[thinnest] >= settings.thin:
+        return np.zeros(len(found), dtype=np.bool_)
+    centre, axis = box.transform[:3, 3], box.transform[:3, thinnest]
+    x, y, z = (found.T_part_grasp[:, :3, k] @ axis for k in range(3))
+    over_centre = (found.T_part_grasp[:, :3, 3] - centre) @ axis * -np.sign(z)  # the approach is downwards
+    spread = np.abs(x) * PAD_SIZE[0] / 2 + np.abs(y) * (found.width / 2 + PAD_SIZE[1])
+    lowest = over_centre + box.extents[thinnest] / 2 - spread  # of the fingertips' ends, above the floor
+    shallow: NDArray[np.bool_] = (np.abs(z) > 0.7) & (lowest > settings.part_margin)
+    return shallow
 
 
 def _clear_openings(
@@ -287,14 +318,15 @@ def _replicate(found: GraspSet, model: PartModel) -> GraspSet:
     return GraspSet(T_part_grasp=T, **{f.name: getattr(repeated, f.name) for f in fields(GraspSet)[1:]})
 
 
-def _spread(found: GraspSet, limit: int) -> NDArray[np.int64]:
+def _spread(found: GraspSet, limit: int, preferred: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Choose at most ``limit`` indices, best first, spread evenly over approach, jaw direction and place.
 
     The best of every cell (about 15 degrees of approach, 30 of the jaw, 10 mm) is kept. Where that is too many, each
     approach contributes the best grasp of each of its places and widths, then the second best of each, and so on. A
     part with good grasps on its rim thus keeps those on its hub, which may be the only ones that neighbours leave free.
+    Preferred grasps, (N,) bool, count as better than all others here.
     """
-    order = np.argsort(-found.quality, kind="stable")
+    order = np.lexsort((-found.quality, ~preferred))
     T = found.T_part_grasp[order]
     approach = np.argmax(T[:, :3, 2] @ _fibonacci_sphere(180).T, axis=1)
     jaw = np.argmax(np.abs(T[:, :3, 1] @ _fibonacci_sphere(90).T), axis=1)  # a jaw has no sign
@@ -304,8 +336,9 @@ def _spread(found: GraspSet, limit: int) -> NDArray[np.int64]:
     region = np.floor(T[:, :3, 3] / 0.025).astype(np.int64)
     width = np.floor(found.width[order] / 0.010).astype(np.int64)
     _, site = np.unique(np.column_stack([approach, region, width])[first], axis=0, return_inverse=True)
-    kept = first[np.lexsort((_ranks(approach[first]), _ranks(site)))[:limit]]
-    return order[np.sort(kept)]
+    kept = order[np.sort(first[np.lexsort((_ranks(approach[first]), _ranks(site)))[:limit]])]
+    best_first: NDArray[np.int64] = kept[np.argsort(-found.quality[kept], kind="stable")]
+    return best_first
 
 
 def _ranks(groups: NDArray[np.int64]) -> NDArray[np.int64]:

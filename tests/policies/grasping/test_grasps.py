@@ -1,6 +1,7 @@
 """Grasps on parts whose good grasps are known."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import trimesh
 from perception.geometry import make_transform, random_rotation, rotation_about
 from perception.part import PartModel, Symmetry
 from policies.grasping.antipodal import Solid, close_pads, grasps_on_lines, opposite_faces
+from policies.grasping.clearance import clear_of_floor
 from policies.grasping.grasps import GraspSet, GraspSettings, flip, least_width, sample_grasps, why_no_grasp
 from policies.grasping.gripper import gripper_model
 from policies.grasping.outcomes import Grasp
@@ -195,6 +197,31 @@ def test_closing_finds_what_protrudes_before_the_faces():
     assert 0.1 < contacts.area[0] < 0.5
 
 
+def test_finer_rays_find_a_shallow_contact():
+    # The pads' last 1.5 mm hold a plate of 4 mm; the first row of rays 4 mm apart lies 2 mm behind the fingertips.
+    plate = trimesh.creation.box(extents=(0.06, 0.03, 0.004))
+    T = make_transform(rotation_about((1, 0, 0), np.pi), (0, 0, 0.0005))[None]  # down, to 1.5 mm under the top face
+    coarse, fine = (close_pads(plate, T, np.array([0.03]), scale) for scale in (1.0, 0.5))
+    assert coarse.area[0] == 0
+    assert fine.area[0] == pytest.approx(1 / 18)  # one of 18 rows
+    assert fine.width[0] == pytest.approx(0.03, abs=1e-6)
+
+
+@pytest.mark.parametrize("thickness", [0.004, 0.006])
+def test_a_plate_on_the_floor_can_be_picked_up_by_its_rim(thickness):
+    plate = PartModel.from_mesh("plate", trimesh.creation.box(extents=(0.06, 0.04, thickness)))
+    grasps = sample_grasps(plate, GraspSettings(samples=200, turns=4))
+    clear = clear_of_floor(make_transform(None, (0, 0, thickness / 2)), grasps, gripper_model())
+    assert clear.sum() >= 10
+    assert grasps.width[clear].min() > 0.039
+
+
+def test_the_grid_stays_as_it_is_for_a_part_that_is_not_thin():
+    model = PartModel.from_mesh("block", trimesh.creation.box(extents=(0.03, 0.05, 0.0121)))
+    as_thick = sample_grasps(model, replace(FEW, thin=1e-6))
+    np.testing.assert_array_equal(sample_grasps(model, FEW).T_part_grasp, as_thick.T_part_grasp)
+
+
 def test_patches_that_do_not_lie_opposite_are_no_grasp():
     """Two lobes that overlap by 4 mm only: pads along them would turn the part between them."""
     lobes = [((-0.015, -0.001, 0.0), (0.015, 0.015, 0.022)), ((-0.015, -0.015, 0.018), (0.015, 0.001, 0.04))]
@@ -263,6 +290,7 @@ def test_a_set_gives_single_grasps(block):
     ("wrong", "text"),
     [
         ({"samples": 0}, "samples must be at least 1, got 0"),
+        ({"thin": 0.0}, "thin must be positive"),
         ({"friction": 0.0}, "friction must be in"),
         ({"max_width": 0.09}, "min_width < max_width < max_opening"),
         ({"extras": (0.01, 0.005)}, "extras must rise"),
