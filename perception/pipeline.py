@@ -28,14 +28,16 @@ class Perception:
     Attributes:
         boundary: Boundary points of the frame.
         segments: Groups of boundary points as the segmentation found them, best first.
-        poses: Verified poses of parts, best first; ``instance_idx`` is an index into ``segments``.
+        groups: The segments, and after them the points that poses left over of some: parts that were merged.
+        poses: Verified poses of parts, best first; ``instance_idx`` is an index into ``groups``.
         instances: Groups of boundary points after the poses have explained points, best first.
         ms: Wall clock of each of `STAGES` [ms].
-        estimates: Best pose of each segment, verified or not; None for a segment without a pose.
+        estimates: Best pose of each of the ``groups``, verified or not; None for a group without a pose.
     """
 
     boundary: BoundaryCloud
     segments: list[Instance]
+    groups: list[Instance]
     poses: list[PoseEstimate]
     instances: list[Instance]
     ms: dict[str, float]
@@ -97,11 +99,19 @@ def perceive_by(
     segments = segment(boundary)
     clock.append(time.perf_counter())
     estimates = estimator.estimate_groups(boundary, segments, frame)
+    leftovers, more = estimator.estimate_leftovers(boundary, segments, estimates, frame)
+    estimates = [*estimates, *more]
     poses = estimator.verified(estimates)
     clock.append(time.perf_counter())
     instances = explain_segments(boundary, segments, estimates, estimator.surface)
     clock.append(time.perf_counter())
     ms = {name: 1000 * (b - a) for name, (a, b) in zip(STAGES, pairwise(clock), strict=True)}
     return Perception(
-        boundary=boundary, segments=segments, poses=poses, instances=instances, ms=ms, estimates=estimates
+        boundary=boundary,
+        segments=segments,
+        groups=[*segments, *leftovers],
+        poses=poses,
+        instances=instances,
+        ms=ms,
+        estimates=estimates,
     )

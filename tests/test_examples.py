@@ -100,7 +100,7 @@ def test_10_finds_poses_in_arrays(tmp_path: Path) -> None:
     example.record(tmp_path / "frame.npz")
     poses = example.main(tmp_path / "frame.npz")
     assert len(poses) >= 4
-    assert min(pose.score for pose in poses) >= 0.93
+    assert min(pose.score for pose in poses) >= 0.9
 
 
 @pytest.mark.slow

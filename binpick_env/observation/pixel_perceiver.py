@@ -59,7 +59,7 @@ class PixelPerceiver:
         if not perceived.poses:
             perceived = replace(perceived, poses=self._estimator.verified(perceived.estimates, LIKELY))
         owners = point_owners(labelled, perceived.boundary)
-        groups = [perceived.segments[pose.instance_idx].point_idx for pose in perceived.poses]
+        groups = [perceived.groups[pose.instance_idx].point_idx for pose in perceived.poses]
         pairs = zip(perceived.poses, groups, strict=True)
         candidates = [self._candidate(labelled, pose, owners[idx]) for pose, idx in pairs]
         return ObservedCandidates(candidates=candidates, perception=perceived)

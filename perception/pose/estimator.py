@@ -5,6 +5,7 @@ clustered modulo symmetry, and the cluster representatives are the hypotheses th
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from perception.pose.model.thinning import thin_points
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.bodies import body_model
 from perception.pose.selection.greedy import select_poses
+from perception.pose.selection.leftovers import leftover_groups
 from perception.pose.verification._verification_kernels import near_points
 from perception.pose.verification.boundary_index import BoundaryIndex, index_boundary
 from perception.pose.verification.perturbation import small_rotations
@@ -84,16 +86,23 @@ class PoseEstimator:
 
         Args:
             boundary: All boundary points of the frame; with none there are no poses.
-            instances: Groups of these points, each of one part.
+            instances: Groups of these points. A group may hold several parts: what the pose of one leaves over is
+                searched again. ``instance_idx`` then counts on from the last group.
             frame: Depth image and camera that the points are from.
 
         Raises:
             ValueError: There are groups, but the frame has no depth.
         """
-        return self.verified(self.estimate_groups(boundary, instances, frame))
+        estimates = self.estimate_groups(boundary, instances, frame)
+        _, more = self.estimate_leftovers(boundary, instances, estimates, frame)
+        return self.verified([*estimates, *more])
 
     def estimate_groups(
-        self, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame
+        self,
+        boundary: BoundaryCloud,
+        instances: Sequence[Instance],
+        frame: Frame,
+        beside: Sequence[PoseEstimate] = (),
     ) -> list[PoseEstimate | None]:
         """Return the selected pose of each group, verified or not; None where no pose is found or possible.
 
@@ -101,6 +110,7 @@ class PoseEstimator:
             boundary: All boundary points of the frame; with none there are no poses.
             instances: Groups of these points, each of one part.
             frame: Depth image and camera that the points are from.
+            beside: Poses of other parts, which no pose may collide with.
 
         Raises:
             ValueError: There are groups, but the frame has no depth.
@@ -112,16 +122,47 @@ class PoseEstimator:
             return [None for _ in instances]
         index = self._index(boundary)
 
+        def free(T_cam_part: Floats) -> bool:
+            clash = any(self.clash(other.T_cam_part, T_cam_part) for other in beside)
+            return not clash and self.possible(T_cam_part, frame)
+
         def search(k: int) -> GroupSearch:
             group = self._thinned_group(boundary.only(instances[k].point_idx), index, frame)
             scorer = HypothesisScorer(self._models, group, self.config)
-            found = GroupSearch(scorer, self.config, lambda T: self.possible(T, frame), k)
+            found = GroupSearch(scorer, self.config, free, k)
             found.add(self._hypotheses(group, self.config.most_hypotheses))
             found.best()  # does the work here, on a thread of its own; the selection asks again
             return found
 
         searches = in_threads(search, range(len(instances)))
         return select_poses(searches, self.clash, self.config.min_score)
+
+    def estimate_leftovers(
+        self,
+        boundary: BoundaryCloud,
+        instances: Sequence[Instance],
+        estimates: Sequence[PoseEstimate | None],
+        frame: Frame,
+    ) -> tuple[list[Instance], list[PoseEstimate | None]]:
+        """Search for the parts that a segmentation merged with others: among the points that the poses leave over.
+
+        Args:
+            boundary: All boundary points of the frame.
+            instances: Groups of these points.
+            estimates: Pose of each group by :meth:`estimate_groups`.
+            frame: Depth image and camera that the points are from.
+
+        Returns:
+            The groups of points that are left over, possibly none, and the pose of each. ``instance_idx`` counts on
+            from the last of ``instances``.
+        """
+        groups = leftover_groups(boundary, instances, estimates, self.surface, self.config.leftovers)
+        if not groups:
+            return [], []
+        sure = [e for e in estimates if e is not None and e.score >= self.config.min_score]
+        found = self.estimate_groups(boundary, groups, frame, beside=sure)
+        first = len(instances)
+        return groups, [None if e is None else replace(e, instance_idx=first + e.instance_idx) for e in found]
 
     def estimate_scene(self, boundary: BoundaryCloud, frame: Frame) -> list[PoseEstimate]:
         """Return the verified poses of a whole scene without groups, best first: PPF-MEAM without segmentation.

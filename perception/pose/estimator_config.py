@@ -8,6 +8,7 @@ from perception.pose.model.edge_models import EdgeModelConfig
 from perception.pose.model.near_symmetry import NearSymmetryConfig
 from perception.pose.model.pair_features import PairConfig
 from perception.pose.selection.bodies import BodyConfig
+from perception.pose.selection.leftovers import LeftoverConfig
 from perception.pose.verification.confidence import ConfidenceConfig
 from perception.pose.verification.refinement import EdgeRefinement, SurfaceRefinement
 from perception.pose.verification.verification import VerificationConfig
@@ -32,6 +33,7 @@ class EstimatorConfig:
         confidence: Coefficients of the score.
         bodies: Tolerances for collisions of parts with each other and with the bin.
         near_symmetry: Near-symmetric poses that are tried beside the best hypothesis.
+        leftovers: When the points that poses leave over are searched for another part.
         hypotheses: Number of hypotheses that are tried for each group, those with most votes first.
         most_hypotheses: Number of hypotheses that are tried while none of them is good enough.
         sure: Logistic function of the logit with which a hypothesis is good enough, in [0, 1].
@@ -54,12 +56,13 @@ class EstimatorConfig:
     confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)
     bodies: BodyConfig = field(default_factory=BodyConfig)
     near_symmetry: NearSymmetryConfig = field(default_factory=NearSymmetryConfig)
+    leftovers: LeftoverConfig = field(default_factory=LeftoverConfig)
     hypotheses: int = 4
     most_hypotheses: int = 12
     sure: float = 0.9
     finalists: int = 2
     scene_hypotheses: int = 100
-    min_score: float = 0.93
+    min_score: float = 0.9
 
     def __post_init__(self) -> None:
         for name in ("quick_step", "hypotheses", "most_hypotheses", "finalists", "scene_hypotheses"):

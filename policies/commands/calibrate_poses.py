@@ -43,7 +43,6 @@ def _fit(args: Arguments) -> str:
     from binpick_env.evaluation.pose.evaluation import CONFIG_FILE
     from binpick_env.jobs.text_tables import columns
     from binpick_env.parts import load_part
-    from perception.pose.verification.confidence import ConfidenceConfig
     from perception.runtime.files import json_text, write_atomically
 
     samples = []
@@ -55,7 +54,7 @@ def _fit(args: Arguments) -> str:
             symmetry=note.get("symmetry", "detect"),
             symmetry_tolerance=note.get("symmetry_tolerance"),
         )
-        samples.append(load_sample(folder, part.model, ConfidenceConfig().clear))
+        samples.append(load_sample(folder, part.model))
     sample = Sample.join(samples)
     config = fit_confidence(sample)
     rows = [

@@ -158,11 +158,20 @@ def test_poses_put_the_groups_right() -> None:
     assert right > 0.9 * np.count_nonzero(truth >= 0)
 
 
-def test_one_group_of_two_blocks_has_at_most_one_pose() -> None:
+def test_two_blocks_in_one_group_are_both_found() -> None:
     seen = Pipeline(KnowingPredictor(one_group), ESTIMATOR, BIN).perceive(FRAME)
     assert len(seen.segments) == 1
-    assert len(seen.poses) <= 1
-    assert len(seen.instances) > 0
+    assert len(seen.groups) == len(seen.estimates) == 2
+    assert sorted(pose.instance_idx for pose in seen.poses) == [0, 1]
+    truth = owners(seen.boundary, *POSES)
+    for pose in seen.poses:
+        errors = [pose_error(pose.T_cam_part, T, ELL) for T in POSES]
+        k = int(np.argmin([error.translation for error in errors]))
+        assert errors[k].translation < 0.001
+        assert np.degrees(errors[k].rotation) < 1
+        if pose.instance_idx == 1:  # the group of what was left over lies on the part that was found in it
+            assert np.mean(truth[seen.groups[1].point_idx] == k) > 0.8
+    assert len(seen.instances) >= 2
 
 
 def test_nothing_comes_of_nothing() -> None:

@@ -78,7 +78,7 @@ def observed(
     segments = [Instance(point_idx=np.array(idx), score=0.9 - 0.1 * k) for k, idx in enumerate(groups)]
     poses: Any = [SimpleNamespace(instance_idx=k) for k in of or range(len(candidates))]
     ms = {"boundary": 20.0, "segmentation": 60.0}
-    seen = Perception(boundary=boundary, segments=segments, poses=poses, instances=segments[:1], ms=ms)
+    seen = Perception(boundary=boundary, segments=segments, groups=segments, poses=poses, instances=segments[:1], ms=ms)
     return ObservedCandidates(candidates=candidates, perception=seen)
 
 

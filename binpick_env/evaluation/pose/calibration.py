@@ -1,7 +1,7 @@
 """Fit the coefficients of `perception.pose.verification.confidence` to poses with known ground truth."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from binpick_env.evaluation.pose.record import VERDICT_COLUMNS, PoseRecord
 from binpick_env.evaluation.pose.scene_score import PoseSceneScore
 from perception.geometry import Floats
 from perception.part import PartModel
-from perception.pose.verification.confidence import ConfidenceConfig
+from perception.pose.verification.confidence import COEFFICIENTS, ConfidenceConfig, confidences, predictors
 
 PENALTY = 1e-4  # weight of the squared coefficients, which keeps the fit finite for separable samples
 
@@ -22,8 +22,8 @@ class Sample:
     """Sample of estimated poses with their correctness.
 
     Attributes:
-        predictors: (E, 6) predictors of each pose, in the order of
-            `perception.pose.verification.confidence.predictors`.
+        predictors: (E, 8) predictors of each pose, in the order of
+            `perception.pose.verification.confidence.COEFFICIENTS`.
         correct: (E,) bool, whether the pose is correct for some part.
         to_find: (E,) bool, whether the pose is correct for a part with a visible fraction of at least 0.5.
         missed: Number of parts with a visible fraction of at least 0.5 that no pose is correct for.
@@ -45,13 +45,13 @@ class Sample:
         )
 
 
-def load_sample(folder: Path, part: PartModel, clear: float) -> Sample:
+def load_sample(folder: Path, part: PartModel, config: ConfidenceConfig | None = None) -> Sample:
     """Load the poses of all records in a folder of `evaluate_poses`.
 
     Args:
         folder: Folder of the records.
         part: Part that lies in the bins.
-        clear: Limit to which margins and score drops are clipped.
+        config: Limits to which margins and score drops are clipped; those of the default one unless given.
 
     Raises:
         FileNotFoundError: There is no record.
@@ -60,24 +60,24 @@ def load_sample(folder: Path, part: PartModel, clear: float) -> Sample:
     paths = sorted(folder.glob("scene_*.npz"))
     if not paths:
         raise FileNotFoundError(f"{folder} holds no records of binpick evaluate-pose")
-    return Sample.join([_sample(PoseRecord.load(path), part, clear) for path in paths])
+    return Sample.join([_sample(PoseRecord.load(path), part, config or ConfidenceConfig()) for path in paths])
 
 
-def _sample(record: PoseRecord, part: PartModel, clear: float) -> Sample:
+def _sample(record: PoseRecord, part: PartModel, config: ConfidenceConfig) -> Sample:
     score = PoseSceneScore.from_record(record, 0, part)
     columns = {name: record.verdicts[:, k] for k, name in enumerate(VERDICT_COLUMNS)}
-    predictors = np.column_stack(
-        [
-            *(columns[name] for name in ("edge_score", "support", "violation")),
-            *(np.clip(columns[name], -clear, clear) for name in ("margin", "score_drop")),
-            np.log(np.maximum(columns["size"], 1)),
-        ]
+    found = predictors(
+        np.column_stack([columns[name] for name in ("edge_score", "support", "violation")]),
+        columns["margin"],
+        columns["score_drop"],
+        np.maximum(columns["size"], 1),
+        config,
     )
     matches = score.all_poses
     to_find = np.zeros(len(score.scores), np.bool_)
     to_find[matches.pose_idx] = matches.correct & score.to_find[np.maximum(matches.matched_part, 0)]
     missed = int(np.count_nonzero(score.to_find & ~matches.found))
-    return Sample(predictors=predictors, correct=score.correct, to_find=to_find, missed=missed)
+    return Sample(predictors=found, correct=score.correct, to_find=to_find, missed=missed)
 
 
 def fit_confidence(sample: Sample, start: ConfidenceConfig | None = None) -> ConfidenceConfig:
@@ -104,7 +104,7 @@ def fit_confidence(sample: Sample, start: ConfidenceConfig | None = None) -> Con
         return float(np.logaddexp(0, -margins).mean() + PENALTY * weights @ weights), gradient + 2 * PENALTY * weights
 
     found = minimize(loss, np.zeros(X.shape[1]), jac=True, method="BFGS").x
-    names = [field.name for field in fields(start) if field.name != "clear"]
+    names = ("bias", *COEFFICIENTS)
     return replace(start, **{name: round(float(value), 3) for name, value in zip(names, found, strict=True)})
 
 
@@ -115,10 +115,7 @@ def plain_coefficients(config: ConfidenceConfig) -> dict[str, float]:
 
 def predicted_confidence(sample: Sample, config: ConfidenceConfig) -> Floats:
     """Return the (E,) confidence of each pose, in [0, 1]."""
-    names = [field.name for field in fields(config) if field.name not in ("bias", "clear")]
-    logits = config.bias + sample.predictors @ np.array([getattr(config, name) for name in names])
-    confidence: Floats = 0.5 * (1 + np.tanh(logits / 2))
-    return confidence
+    return confidences(sample.predictors, config)
 
 
 def operating_points(sample: Sample, config: ConfidenceConfig, scores: Sequence[float]) -> list[tuple[float, ...]]:

@@ -161,7 +161,7 @@ def evaluate_pose_scene(config: PoseEvaluationConfig, index: int, threads: int =
         result = _process_frame(config, method, captured)
     scene, frame = captured.scene, captured.capture.frame
     u0, v0, u1, v1 = captured.capture.region if picture else (0, 0, 0, 0)
-    estimates = result.estimates
+    estimates, groups = result.estimates, len(result.instances)
     return PoseRecord(
         labels=labels_of(result.instances, len(scene.boundary)),
         confidences=np.array([instance.score for instance in result.instances], np.float64),
@@ -173,7 +173,7 @@ def evaluate_pose_scene(config: PoseEvaluationConfig, index: int, threads: int =
         trials=np.array(result.trials, np.int64),
         poses=np.array([estimate.T_cam_part for estimate in estimates], np.float64).reshape(-1, 4, 4),
         scores=np.array([estimate.score for estimate in estimates], np.float64),
-        groups=np.array([estimate.instance_idx for estimate in estimates], np.int64),
+        groups=np.array([e.instance_idx if e.instance_idx < groups else -1 for e in estimates], np.int64),
         estimated_fractions=np.array([estimate.visible_fraction for estimate in estimates], np.float64),
         verdicts=_verdicts(estimates),
         verified=np.array(result.verified, np.bool_),
@@ -223,6 +223,8 @@ def _poses(
         poses = method.estimator.estimate_scene(boundary, frame)
         return poses, [True] * len(poses)
     estimates = method.estimator.estimate_groups(boundary, instances, frame)
+    _, more = method.estimator.estimate_leftovers(boundary, instances, estimates, frame)
+    estimates = [*estimates, *more]
     verified_groups = {estimate.instance_idx for estimate in method.estimator.verified(estimates)}
     found = [estimate for estimate in estimates if estimate is not None]
     return found, [estimate.instance_idx in verified_groups for estimate in found]

@@ -74,6 +74,16 @@ class Estimator(Protocol):
         """Return the pose of each instance; None where none was found."""
         ...
 
+    def estimate_leftovers(
+        self,
+        boundary: BoundaryCloud,
+        instances: Sequence[Instance],
+        estimates: Sequence[PoseEstimate | None],
+        frame: Frame,
+    ) -> tuple[list[Instance], list[PoseEstimate | None]]:
+        """Return what the poses leave over of the instances, and the poses found there."""
+        ...
+
     def verified(self, estimates: Iterable[PoseEstimate | None], min_score: float | None = None) -> list[PoseEstimate]:
         """Return the estimates that pass verification."""
         ...

@@ -37,9 +37,10 @@ class PoseRecord:
         visible_fractions: (P,) true visible fraction of each part, in [0, 1].
         T_cam_parts: (P, 4, 4) true poses in the camera frame.
         trials: (T,) int64 groups that are recognition trials; T is at most `TRIALS`.
-        poses: (E, 4, 4) estimated ``T_cam_part``, verified or not; at most one for each group.
+        poses: (E, 4, 4) estimated ``T_cam_part``, verified or not; at most one for each group, and for what is left
+            over of it.
         scores: (E,) score of each pose, in [0, 1].
-        groups: (E,) int64 group that each pose was found in, -1 for the whole scene.
+        groups: (E,) int64 group that each pose was found in; -1 for the whole scene, and for what poses left over.
         estimated_fractions: (E,) visible fraction that the estimator assigns to each pose.
         verdicts: (E, 8) verification results of each pose, in the order of `VERDICT_COLUMNS`.
         verified: (E,) bool, whether the estimator returns the pose.

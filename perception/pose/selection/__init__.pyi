@@ -6,3 +6,5 @@ from .explanation import PosedPart as PosedPart
 from .explanation import explain_segments as explain_segments
 from .greedy import PoseSource as PoseSource
 from .greedy import select_poses as select_poses
+from .leftovers import LeftoverConfig as LeftoverConfig
+from .leftovers import leftover_groups as leftover_groups

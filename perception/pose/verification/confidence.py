@@ -4,7 +4,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from perception.geometry import Floats
 from perception.pose.verification.verification import Verdict
+
+COEFFICIENTS = (
+    "edge_score",
+    "support",
+    "violation",
+    "margin",
+    "close_margin",
+    "score_drop",
+    "close_score_drop",
+    "size",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,27 +28,34 @@ class ConfidenceConfig:
         edge_score: Coefficient of the verdict's edge score.
         support: Coefficient of the verdict's support.
         violation: Coefficient of the verdict's violation.
-        margin: Coefficient of the clipped margin over the best different pose.
-        score_drop: Coefficient of the clipped score drop under perturbation.
+        margin: Coefficient of the margin over the best different pose, clipped to ``clear``.
+        close_margin: Coefficient of the same margin, clipped to ``close``: of two poses that agree with the scene
+            nearly alike, each may be right.
+        score_drop: Coefficient of the score drop under perturbation, clipped to ``clear``.
+        close_score_drop: Coefficient of the same score drop, clipped to ``close``.
         size: Coefficient of the natural logarithm of the number of boundary points of the group after thinning.
-        clear: Limit to which margin and score drop are clipped, in units of the logit.
+        clear: Margin and score drop beyond which more of them says nothing, in units of the logit.
+        close: Margin and score drop up to which little more of them says much, in units of the logit.
     """
 
-    bias: float = -8.32
-    edge_score: float = 2.33
-    support: float = 2.04
-    violation: float = -2.99
-    margin: float = 0.88
-    score_drop: float = 0.98
-    size: float = 1.06
+    bias: float = -6.518
+    edge_score: float = 1.514
+    support: float = 1.929
+    violation: float = -5.421
+    margin: float = 0.385
+    close_margin: float = 2.821
+    score_drop: float = 0.289
+    close_score_drop: float = 1.225
+    size: float = 0.533
     clear: float = 3.0
+    close: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("bias", "edge_score", "support", "violation", "margin", "score_drop", "size"):
+        for name in ("bias", *COEFFICIENTS):
             if not np.isfinite(getattr(self, name)):
                 raise ValueError(f"{name} must be finite, got {getattr(self, name)}")
-        if not 0 < self.clear < np.inf:
-            raise ValueError(f"clear must be positive, got {self.clear}")
+        if not 0 < self.close < self.clear < np.inf:
+            raise ValueError(f"0 < close < clear is required, got {self.close} and {self.clear}")
 
 
 def confidence(
@@ -60,18 +79,31 @@ def confidence(
     for name, value in (("margin", margin), ("score_drop", score_drop)):
         if np.isnan(value):
             raise ValueError(f"{name} must not be NaN, got {value}")
-    weighted = config.bias + float(
-        np.dot(coefficients(config), predictors(verdict, margin, score_drop, size, config.clear))
-    )
-    return float(0.5 * (1 + np.tanh(weighted / 2)))
+    verdicts = np.array([[verdict.edge_score, verdict.support, verdict.violation]])
+    found = predictors(verdicts, np.array([margin]), np.array([score_drop]), np.array([size]), config)
+    return float(confidences(found, config)[0])
 
 
-def predictors(verdict: Verdict, margin: float, score_drop: float, size: int, clear: float) -> tuple[float, ...]:
-    """Return the predictors of the regression, in the order of :func:`coefficients`."""
-    clipped = (min(max(value, -clear), clear) for value in (margin, score_drop))
-    return verdict.edge_score, verdict.support, verdict.violation, *clipped, float(np.log(size))
+def predictors(
+    verdicts: Floats, margins: Floats, score_drops: Floats, sizes: Floats, config: ConfidenceConfig
+) -> Floats:
+    """Return the (E, 8) predictors of the regression, in the order of `COEFFICIENTS`.
+
+    Args:
+        verdicts: (E, 3) edge score, support and violation of each pose.
+        margins: (E,) margin of each pose.
+        score_drops: (E,) score drop of each pose.
+        sizes: (E,) number of boundary points of each group after thinning, at least 1.
+        config: Limits to which margins and score drops are clipped.
+    """
+    clipped = [
+        np.clip(values, -limit, limit) for values in (margins, score_drops) for limit in (config.clear, config.close)
+    ]
+    return np.column_stack([verdicts, *clipped, np.log(sizes)])
 
 
-def coefficients(config: ConfidenceConfig) -> tuple[float, ...]:
-    """Return the coefficients of the regression without the bias."""
-    return config.edge_score, config.support, config.violation, config.margin, config.score_drop, config.size
+def confidences(predicted_by: Floats, config: ConfidenceConfig) -> Floats:
+    """Return the (E,) probability that each pose is right, from its (E, 8) :func:`predictors`."""
+    weighted = config.bias + predicted_by @ np.array([getattr(config, name) for name in COEFFICIENTS])
+    probability: Floats = 0.5 * (1 + np.tanh(weighted / 2))
+    return probability

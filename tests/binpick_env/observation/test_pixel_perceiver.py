@@ -101,7 +101,8 @@ def test_a_candidate_is_of_the_part_that_owns_most_of_its_group(known: BinPickEn
 def with_group(seen: Perception, idx: np.ndarray) -> Perception:
     """Return a perception of one group, whose pose is the first one."""
     pose = replace(seen.poses[0], instance_idx=0)
-    return replace(seen, segments=[Instance(point_idx=idx, score=1.0)], poses=[pose], estimates=[pose])
+    group = Instance(point_idx=idx, score=1.0)
+    return replace(seen, segments=[group], groups=[group], poses=[pose], estimates=[pose])
 
 
 def len_expected(env: BinPickEnv, candidate: PoseCandidate) -> int:

@@ -25,7 +25,15 @@ RANKING = VerificationConfig(
     bias=-10.0, edge_weight=4.0, explained_weight=8.0, support_weight=4.0, violation_weight=-15.0
 )
 SURENESS = ConfidenceConfig(
-    bias=-4.0, edge_score=6.0, support=5.0, violation=-15.0, margin=0.0, score_drop=0.0, size=0.0, clear=3.0
+    bias=-4.0,
+    edge_score=6.0,
+    support=5.0,
+    violation=-15.0,
+    margin=0.0,
+    close_margin=0.0,
+    score_drop=0.0,
+    close_score_drop=0.0,
+    size=0.0,
 )
 CONFIG = EstimatorConfig(
     verification=RANKING, confidence=SURENESS, hypotheses=4, most_hypotheses=12, sure=0.9, finalists=1, min_score=0.5

@@ -15,12 +15,24 @@ from binpick_env.evaluation.pose.calibration import (
 )
 from binpick_env.evaluation.pose.record import VERDICT_COLUMNS
 from binpick_env.evaluation.segmentation.record import record_path
-from perception.pose.verification.confidence import ConfidenceConfig, coefficients
+from perception.pose.verification.confidence import COEFFICIENTS, ConfidenceConfig
 from tests.binpick_env.evaluation.pose.pose_records import bracket, estimates, moved, record
 
 TRUTH = ConfidenceConfig(
-    bias=-2.0, edge_score=3.0, support=-1.0, violation=-2.0, margin=1.5, score_drop=0.8, size=0.4, clear=3.0
+    bias=-2.0,
+    edge_score=3.0,
+    support=-1.0,
+    violation=-2.0,
+    margin=1.5,
+    close_margin=1.1,
+    score_drop=0.8,
+    close_score_drop=-0.6,
+    size=0.4,
 )
+
+
+def coefficients(config: ConfidenceConfig) -> list[float]:
+    return [getattr(config, name) for name in COEFFICIENTS]
 
 
 def drawn(count: int = 40_000) -> Sample:
@@ -36,7 +48,7 @@ def test_the_fit_recovers_the_coefficients_of_the_sample() -> None:
     found = fit_confidence(drawn())
     np.testing.assert_allclose(coefficients(found), coefficients(TRUTH), atol=0.25)
     assert found.bias == pytest.approx(TRUTH.bias, abs=0.15)
-    assert found.clear == ConfidenceConfig().clear
+    assert (found.clear, found.close) == (ConfidenceConfig().clear, ConfidenceConfig().close)
 
 
 def test_predicted_confidences_are_calibrated() -> None:
@@ -55,9 +67,9 @@ def test_a_sample_without_correct_or_wrong_poses_is_refused(right: bool) -> None
 
 
 def test_operating_points_by_hand() -> None:
-    nothing = dict.fromkeys(("bias", "support", "violation", "margin", "score_drop", "size"), 0.0)
-    config = replace(TRUTH, edge_score=1.0, **nothing)
-    predictors = np.ones((4, 6))
+    nothing = dict.fromkeys(("bias", *COEFFICIENTS), 0.0)
+    config = replace(TRUTH, **(nothing | {"edge_score": 1.0}))
+    predictors = np.ones((4, len(COEFFICIENTS)))
     predictors[:, 0] = (-2.0, -1.0, 1.0, 2.0)  # scores .12, .27, .73, .88
     right = np.array([False, True, False, True])
     sample = Sample(predictors=predictors, correct=right, to_find=right, missed=2)
@@ -77,16 +89,18 @@ def test_a_sample_is_loaded_from_records(tmp_path: Path) -> None:
     verdicts[:, VERDICT_COLUMNS.index("size")] = (1.0, np.e, 100.0)
     changes = estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2]) | {"verdicts": verdicts}
     record(**changes).save(record_path(tmp_path, 0))
-    sample = load_sample(tmp_path, bracket(), clear=3.0)
+    sample = load_sample(tmp_path, bracket())
     assert sample.correct.tolist() == [True, False, True]
     assert sample.to_find.tolist() == [True, False, False]  # the third part is hidden by more than half
     assert sample.missed == 1
     np.testing.assert_allclose(sample.predictors[:, :3], [[0.0, 0.2, 0.3]] * 3)
     np.testing.assert_allclose(sample.predictors[:, 3], [3.0, -3.0, 0.5])
-    np.testing.assert_allclose(sample.predictors[:, 4], [-3.0, 3.0, 0.25])
-    np.testing.assert_allclose(sample.predictors[:, 5], [0.0, 1.0, np.log(100.0)])
+    np.testing.assert_allclose(sample.predictors[:, 4], [1.0, -1.0, 0.5])
+    np.testing.assert_allclose(sample.predictors[:, 5], [-3.0, 3.0, 0.25])
+    np.testing.assert_allclose(sample.predictors[:, 6], [-1.0, 1.0, 0.25])
+    np.testing.assert_allclose(sample.predictors[:, 7], [0.0, 1.0, np.log(100.0)])
 
 
 def test_a_folder_without_records_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="holds no records of binpick evaluate-pose"):
-        load_sample(tmp_path, bracket(), clear=3.0)
+        load_sample(tmp_path, bracket())

@@ -69,6 +69,15 @@ class TruthEstimator:
             found.append(self.true_estimate(scene, owner, k) if owner >= 0 else None)
         return found
 
+    def estimate_leftovers(
+        self,
+        boundary: BoundaryCloud,
+        instances: Sequence[Instance],
+        estimates: Sequence[PoseEstimate | None],
+        frame: Frame,
+    ) -> tuple[list[Instance], list[PoseEstimate | None]]:
+        return [], []
+
     def verified(self, estimates: Iterable[PoseEstimate | None]) -> list[PoseEstimate]:
         return [each for each in estimates if each is not None and each.score >= self.config.min_score][::-1]
 
@@ -145,6 +154,25 @@ def test_a_record_has_the_pose_of_each_group_and_the_truth(truth_estimators: lis
     expected = round(400.0 / np.median(scene.boundary.points_cam[:, 2]))
     assert kept.trials.tolist() == np.argsort(np.abs(kept.sizes() - expected), kind="stable")[:3].tolist()
     assert not kept.whole_scene
+
+
+def test_a_pose_in_what_is_left_over_counts_for_no_trial(
+    truth_estimators: list[TruthEstimator], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its group is -1: a trial asks for the pose of its whole group."""
+    plain = evaluate_pose_scene(config(), 0)
+
+    def leftovers(
+        self: TruthEstimator, boundary: BoundaryCloud, instances: list[Instance], *_: object
+    ) -> tuple[list[Instance], list[PoseEstimate]]:
+        return instances[:1], [self.true_estimate(scene_of(0), 1, len(instances))]
+
+    monkeypatch.setattr(TruthEstimator, "estimate_leftovers", leftovers)
+    kept = evaluate_pose_scene(config(), 0)
+    assert kept.groups.tolist() == [*plain.groups.tolist(), -1]
+    assert kept.verified.tolist() == [*plain.verified.tolist(), True]
+    assert kept.trials.tolist() == plain.trials.tolist()
+    np.testing.assert_array_equal(kept.poses[-1], scene_of(0).T_cam_parts[1])
 
 
 def test_true_segments_need_enough_points(truth_estimators: list[TruthEstimator]) -> None:
@@ -281,7 +309,7 @@ def test_a_folder_of_another_evaluation_is_refused_and_the_difference_named(
 ) -> None:
     list(evaluate_poses(config(), 1, tmp_path))
     other = replace(EstimatorConfig(), min_score=0.25)
-    text = r"another configuration \(method\.estimator\.min_score: 0\.93 there, 0\.25 here\); choose another folder"
+    text = r"another configuration \(method\.estimator\.min_score: 0\.9 there, 0\.25 here\); choose another folder"
     with pytest.raises(ValueError, match=text):
         next(evaluate_poses(config(estimator=other), 1, tmp_path))
     with pytest.raises(ValueError, match=r"\(seed: 31 there, 8 here\)"):

@@ -5,15 +5,30 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from perception.pose.verification.confidence import ConfidenceConfig, coefficients, confidence, predictors
+from perception.pose.verification.confidence import (
+    COEFFICIENTS,
+    ConfidenceConfig,
+    confidence,
+    confidences,
+    predictors,
+)
 from perception.pose.verification.verification import Verdict
 
 VERDICT = Verdict(edge_score=0.5, explained=0.25, support=0.75, violation=0.125, measured=0.9, logit=1.0)
 DROP = 1.5
 PLAIN = ConfidenceConfig(
-    bias=-1.0, edge_score=2.0, support=-2.0, violation=-8.0, margin=0.5, score_drop=-1.5, size=0.25, clear=3.0
+    bias=-1.0,
+    edge_score=2.0,
+    support=-2.0,
+    violation=-8.0,
+    margin=0.5,
+    close_margin=0.75,
+    score_drop=-1.5,
+    close_score_drop=0.125,
+    size=0.25,
+    clear=3.0,
+    close=1.0,
 )
-NAMES = ("edge_score", "support", "violation", "margin", "score_drop", "size")
 
 
 def logistic(x: float) -> float:
@@ -21,7 +36,7 @@ def logistic(x: float) -> float:
 
 
 def test_it_is_the_logistic_of_a_weighted_sum() -> None:
-    without_size = -1.0 + 1.0 - 1.5 - 1.0 + 0.5 * 2.0 - 1.5 * 1.5
+    without_size = -1.0 + 1.0 - 1.5 - 1.0 + 0.5 * 2.0 + 0.75 * 1.0 - 1.5 * 1.5 + 0.125 * 1.0
     assert confidence(VERDICT, 2.0, DROP, 1, PLAIN) == pytest.approx(logistic(without_size))
     assert confidence(VERDICT, 2.0, DROP, 100, PLAIN) == pytest.approx(logistic(without_size + 0.25 * np.log(100)))
 
@@ -34,6 +49,7 @@ def test_a_clear_margin_is_clear() -> None:
     assert sure(40.0) == sure(np.inf) == sure(3.0)
     assert sure(-np.inf) == sure(-3.0) < sure(-2.9)
     assert sure(2.0, replace(PLAIN, clear=1.5)) == sure(1.5)
+    assert sure(2.0, replace(PLAIN, clear=1.5, margin=0.0)) == sure(1.0, replace(PLAIN, margin=0.0))
 
 
 def test_a_clear_score_drop_is_clear() -> None:
@@ -45,19 +61,35 @@ def test_a_clear_score_drop_is_clear() -> None:
     assert sure(2.9) < sure(3.0)
     assert sure(40.0) == sure(np.inf) == sure(3.0)
     assert sure(-np.inf) == sure(-3.0) < sure(-2.9)
-    assert sure(2.0, replace(dropping, clear=1.0)) == sure(1.0)
+    assert sure(2.0, replace(dropping, clear=1.5)) == sure(1.5)
 
 
-def test_predictors_and_coefficients_are_in_one_order() -> None:
-    assert predictors(VERDICT, 2.0, DROP, 7, 3.0) == (0.5, 0.75, 0.125, 2.0, 1.5, np.log(7))
-    assert coefficients(PLAIN) == (2.0, -2.0, -8.0, 0.5, -1.5, 0.25)
-    assert tuple(f.name for f in fields(PLAIN) if f.name not in ("bias", "clear")) == NAMES
-    for name in NAMES:
-        changed = coefficients(replace(PLAIN, **{name: 99.0}))
-        (place,) = np.flatnonzero(np.array(changed) == 99.0)
-        only = dict.fromkeys((f.name for f in fields(PLAIN)), 0.0) | {name: 1.0, "clear": 3.0}
-        value = predictors(VERDICT, 2.0, DROP, 7, 3.0)[place]
-        assert confidence(VERDICT, 2.0, DROP, 7, ConfidenceConfig(**only)) == pytest.approx(logistic(value)), name
+def test_predictors_by_hand() -> None:
+    found = predictors(
+        np.array([[0.5, 0.75, 0.125], [0.1, 0.2, 0.3]]),
+        np.array([2.0, -np.inf]),
+        np.array([0.25, np.inf]),
+        np.array([7, 1]),
+        PLAIN,
+    )
+    expected = [[0.5, 0.75, 0.125, 2.0, 1.0, 0.25, 0.25, np.log(7)], [0.1, 0.2, 0.3, -3.0, -1.0, 3.0, 1.0, 0.0]]
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_each_coefficient_weighs_its_own_predictor() -> None:
+    values = np.array([[0.5, 0.75, 0.125, 2.0, 1.0, 1.5, 0.875, np.log(7)]])
+    assert set(COEFFICIENTS) == {f.name for f in fields(PLAIN)} - {"bias", "clear", "close"}
+    for place, name in enumerate(COEFFICIENTS):
+        only = replace(PLAIN, bias=0.0, **(dict.fromkeys(COEFFICIENTS, 0.0) | {name: 1.0}))
+        assert confidences(values, only) == pytest.approx([logistic(values[0, place])]), name
+
+
+def test_a_margin_near_zero_counts_more_than_the_same_change_of_a_clear_one() -> None:
+    sure = [confidence(VERDICT, margin, DROP, 60) for margin in (0.0, 1.0, 2.0, 3.0)]
+    logits = np.log(sure) - np.log1p(-np.array(sure))
+    gain = np.diff(logits)
+    assert gain[0] > 3 * gain[1]
+    assert gain[1] == pytest.approx(gain[2])
 
 
 def test_agreement_raises_the_confidence_and_violation_lowers_it() -> None:
@@ -89,14 +121,16 @@ def test_nonsense_is_refused(margin: float, score_drop: float, size: int, messag
         confidence(VERDICT, margin, score_drop, size)
 
 
-@pytest.mark.parametrize("name", ["bias", *NAMES])
+@pytest.mark.parametrize("name", ["bias", *COEFFICIENTS])
 def test_a_coefficient_that_is_no_number_is_refused(name: str) -> None:
     for nonsense in (np.nan, np.inf):
         with pytest.raises(ValueError, match=f"{name} must be finite, got {nonsense}"):
             replace(PLAIN, **{name: nonsense})
 
 
-@pytest.mark.parametrize("clear", [0.0, -1.0, np.nan, np.inf])
-def test_a_margin_that_is_never_or_always_clear_is_refused(clear: float) -> None:
-    with pytest.raises(ValueError, match=f"clear must be positive, got {clear}"):
-        replace(PLAIN, clear=clear)
+@pytest.mark.parametrize(
+    ("close", "clear"), [(1.0, 1.0), (1.0, 0.5), (0.0, 3.0), (-1.0, 3.0), (1.0, np.nan), (1.0, np.inf)]
+)
+def test_limits_out_of_order_are_refused(close: float, clear: float) -> None:
+    with pytest.raises(ValueError, match=f"0 < close < clear is required, got {close} and {clear}"):
+        replace(PLAIN, clear=clear, close=close)
