@@ -275,10 +275,16 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         self._episode = replace(self.episode, steps=self.episode.steps + steps)
         self.simulation.data.time += steps * CONTROL_PERIOD
 
-    def look(self) -> Observation:
-        """Take another frame now, with fresh sensor noise, and return the observation."""
+    def look(self, *, likely: bool = False) -> Observation:
+        """Take another frame now, with fresh sensor noise, and return the observation.
+
+        Args:
+            likely: Whether poses that are likely but not verified become candidates as well. For a picker that found
+                nothing to do in the last frame.
+        """
         episode = self.episode
-        self._episode = replace(episode, frame=self._take_frame(episode.hand_eye, episode.frame.number + 1))
+        frame = self._take_frame(episode.hand_eye, episode.frame.number + 1, likely=likely)
+        self._episode = replace(episode, frame=frame)
         return self._observation()
 
     def snapshot(self) -> Snapshot:
@@ -312,7 +318,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
 
     # --- inside ----------------------------------------------------------------------------------------------------
 
-    def _take_frame(self, hand_eye: Floats, number: int) -> FrameState:
+    def _take_frame(self, hand_eye: Floats, number: int, *, likely: bool = False) -> FrameState:
         """Take a frame from a camera whose reported position is off by (3,) ``hand_eye`` [m], and perceive it."""
         simulation = self.simulation
         simulation.refresh()
@@ -329,7 +335,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             hand_eye=hand_eye,
         )
         rendered = time.perf_counter()
-        observed = self._perceiver.perceive(labelled, self.np_random)
+        observed = self._perceiver.perceive(labelled, self.np_random, likely=likely)
         perceived = time.perf_counter()
         candidates = observed.candidates[:MAX_CANDIDATES]
         features, mask = pad_candidates(candidates, self.workspace)

@@ -20,7 +20,13 @@ class NoisyOraclePerceiver:
     def __init__(self, noise: PerceptionNoise) -> None:
         self._noise = noise
 
-    def perceive(self, labelled: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:
+    def perceive(
+        self,
+        labelled: LabelledCapture,
+        rng: np.random.Generator,
+        *,
+        likely: bool = False,  # noqa: ARG002 - for perceivers that are unsure
+    ) -> ObservedCandidates:
         """Return a candidate for each part that is not missed, and the false candidates, the highest score first."""
         visible = [int(i) for i in np.flatnonzero(labelled.visible_fractions > 0)]
         drawn = [self._candidate(labelled, i, rng) for i in visible]

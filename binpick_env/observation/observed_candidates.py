@@ -15,8 +15,9 @@ class ObservedCandidates:
 
     Attributes:
         candidates: Candidates, best first.
-        perception: Boundary, segments and poses behind them: candidate i is pose i. Where no pose was verified, the
-            poses are the likely ones. None for an oracle, which reads the ground truth.
+        perception: Boundary, segments and poses behind them: candidate i is pose i. Where none was verified, and
+            where likely candidates were asked for, the likely poses are among them. None for an oracle, which reads the
+            ground truth.
     """
 
     candidates: list[PoseCandidate] = field(default_factory=list)

@@ -46,7 +46,13 @@ class OraclePerceiver:
         self._noise = noise or PoseNoise()
         self._offered_from = offered_from
 
-    def perceive(self, labelled: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:
+    def perceive(
+        self,
+        labelled: LabelledCapture,
+        rng: np.random.Generator,
+        *,
+        likely: bool = False,  # noqa: ARG002 - for perceivers that are unsure
+    ) -> ObservedCandidates:
         """Return a candidate for each part that is visible enough, the most visible first."""
         order = np.argsort(-labelled.visible_fractions, kind="stable")
         offered = [int(i) for i in order if labelled.visible_fractions[i] >= self._offered_from]

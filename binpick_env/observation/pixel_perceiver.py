@@ -23,7 +23,7 @@ from perception.pose.pose_estimate import PoseEstimate
 from perception.runtime.threads import use_threads
 from perception.segmentation.grouping.similarity import GroupingConfig
 
-LIKELY = 0.5  # smallest score of a pose that becomes a candidate where none is verified: more likely right than wrong
+LIKELY = 0.5  # smallest score of a likely pose: it is more likely right than wrong
 MIN_POINTS = GroupingConfig().min_points  # smallest number of points of a true segment; the network's is the same
 _log = logging.getLogger(__name__)
 _warmed_up: set[str] = set()  # perception modes whose kernels this process has loaded
@@ -33,6 +33,7 @@ class PixelPerceiver:
     """Turns verified poses into candidates. Ground truth is read only to name their parts, for reports.
 
     Where no pose is verified, the likely ones become candidates, so that the last part of a bin can still be picked.
+    They also do where they are asked for: when no grasp on a verified one can be tried.
     """
 
     def __init__(
@@ -52,11 +53,17 @@ class PixelPerceiver:
         self._estimator = estimator
         self._threads = threads
 
-    def perceive(self, labelled: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:  # noqa: ARG002 - for oracles
-        """Return a candidate for each verified pose, best first; an empty bin has none."""
+    def perceive(
+        self,
+        labelled: LabelledCapture,
+        rng: np.random.Generator,  # noqa: ARG002 - for oracles
+        *,
+        likely: bool = False,
+    ) -> ObservedCandidates:
+        """Return a candidate for each verified pose, and for each likely one if asked for, best first."""
         with use_threads(self._threads):
             perceived = self._recognise(labelled)
-        if not perceived.poses:
+        if likely or not perceived.poses:
             perceived = replace(perceived, poses=self._estimator.verified(perceived.estimates, LIKELY))
         owners = point_owners(labelled, perceived.boundary)
         groups = [perceived.groups[pose.instance_idx].point_idx for pose in perceived.poses]

@@ -16,7 +16,8 @@ class Termination(StrEnum):
 
     EMPTY = "empty"  # no part is left in play
     TWO_FAILURES = "2F"  # two consecutive failed attempts (VGN's rule), or as many as the bin was allowed
-    ABSTAINED = "abstained"  # no attempt was made, twice in a row, the second time on a new frame
+    # no attempt was made, twice in a row, the second time on a new frame of which likely poses are candidates, too
+    ABSTAINED = "abstained"
     TIME = "time"  # the environment truncated the episode
 
 
@@ -88,7 +89,7 @@ def run_bin(
         if on_pick is not None:
             on_pick(result)
         if result.abstention is not None and _ended(env, picks, max_failures) is None:
-            env.look()
+            env.look(likely=True)
     return BinResult(
         seed=seed,
         parts_total=env.total,

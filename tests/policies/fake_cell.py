@@ -120,6 +120,7 @@ class FakeEnv:
     delivered: int = 0
     lost: int = 0
     extra_frames: int = 0
+    likely_frames: int = 0
     frame_id: int = -1
     truncated: bool = False
     render_time: float = 0.0
@@ -158,8 +159,9 @@ class FakeEnv:
         self.delivered = self.lost = 0
         self.frame_id = 0
 
-    def look(self) -> None:
+    def look(self, *, likely: bool = False) -> None:
         self.extra_frames += 1
+        self.likely_frames += likely
         self.frame_id += 1
 
     def close(self) -> None:

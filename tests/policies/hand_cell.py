@@ -116,7 +116,7 @@ class Shifted:
     shift_world: tuple[float, float, float]
     parts: tuple[int, ...] | None = None
 
-    def perceive(self, view: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:
+    def perceive(self, view: LabelledCapture, rng: np.random.Generator, *, likely: bool = False) -> ObservedCandidates:
         seen = OraclePerceiver().perceive(view, rng).candidates
         told = [self._moved(view, c) if self.parts is None or c.part in self.parts else c for c in seen]
         return ObservedCandidates(candidates=told)
@@ -132,7 +132,7 @@ class Nameless:
 
     inner: Perceiver
 
-    def perceive(self, view: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:
+    def perceive(self, view: LabelledCapture, rng: np.random.Generator, *, likely: bool = False) -> ObservedCandidates:
         return ObservedCandidates(candidates=[replace(c, part=-1) for c in self.inner.perceive(view, rng).candidates])
 
 
@@ -140,7 +140,7 @@ class Nameless:
 class Blind:
     """Sees nothing."""
 
-    def perceive(self, view: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:
+    def perceive(self, view: LabelledCapture, rng: np.random.Generator, *, likely: bool = False) -> ObservedCandidates:
         return ObservedCandidates()
 
 

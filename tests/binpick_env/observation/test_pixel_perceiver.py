@@ -52,10 +52,10 @@ def estimator_of(env: BinPickEnv) -> PoseEstimator:
     return perceiver._estimator
 
 
-def shown(env: BinPickEnv, seen: Perception, threads: int | None = None) -> ObservedCandidates:
+def shown(env: BinPickEnv, seen: Perception, threads: int | None = None, *, likely: bool = False) -> ObservedCandidates:
     """Return what a perceiver makes of a perception."""
     return PixelPerceiver(lambda view: seen, estimator_of(env), threads).perceive(
-        env.labelled_capture, np.random.default_rng(0)
+        env.labelled_capture, np.random.default_rng(0), likely=likely
     )
 
 
@@ -187,6 +187,32 @@ def test_beside_a_verified_pose_none_stands_in(known: BinPickEnv) -> None:
     assert [c.part for c in shown(known, told).candidates] == [known.candidates[0].part]
 
 
+def test_likely_poses_stand_beside_a_verified_one_where_they_are_asked_for(known: BinPickEnv) -> None:
+    seen = seen_in(known)
+    estimates = [replace(pose, score=score) for pose, score in zip(seen.poses, (0.99, 0.3, 0.7), strict=True)]
+    told = replace(seen, poses=estimates[:1], estimates=estimates)
+    assert [c.score for c in shown(known, told).candidates] == [0.99]
+    observed = shown(known, told, likely=True)
+    assert [c.score for c in observed.candidates] == [0.99, 0.7]
+    assert observed.perception is not None
+    assert [pose.score for pose in observed.perception.poses] == [0.99, 0.7]
+
+
+def test_the_cell_passes_on_that_likely_poses_are_asked_for(known: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def perceive(*_: object, likely: bool = False) -> ObservedCandidates:
+        asked.append(likely)
+        return ObservedCandidates()
+
+    before = known.snapshot()
+    monkeypatch.setattr(known._perceiver, "perceive", perceive)
+    known.look()
+    known.look(likely=True)
+    known.restore(before)
+    assert asked == [False, True]
+
+
 # --- threads
 
 
@@ -247,9 +273,9 @@ def test_a_frame_is_perceived_once(learned: BinPickEnv, monkeypatch: pytest.Monk
     perceived: list[LabelledCapture] = []
     perceive = learned._perceiver.perceive
 
-    def counted(view: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:
+    def counted(view: LabelledCapture, rng: np.random.Generator, **how: bool) -> ObservedCandidates:
         perceived.append(view)
-        return perceive(view, rng)
+        return perceive(view, rng, **how)
 
     monkeypatch.setattr(learned._perceiver, "perceive", counted)
     act(learned, 0.4)

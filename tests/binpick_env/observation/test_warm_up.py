@@ -93,7 +93,9 @@ def test_a_small_part_is_as_long_in_the_warm_up_as_one_of_60_mm() -> None:
 def test_only_the_first_perceiver_of_each_mode_warms_up(monkeypatch: pytest.MonkeyPatch) -> None:
     captures: list[LabelledCapture] = []
 
-    def perceive(_: object, labelled: LabelledCapture, __: np.random.Generator) -> ObservedCandidates:
+    def perceive(
+        _: object, labelled: LabelledCapture, __: np.random.Generator, *, likely: bool = False
+    ) -> ObservedCandidates:
         captures.append(labelled)
         return ObservedCandidates(candidates=[])
 

@@ -84,7 +84,7 @@ def test_each_frame_is_recorded_once_and_failures_are_attributed() -> None:
 def test_two_decisions_on_one_frame_record_it_once() -> None:
     def make(config: EvaluationConfig) -> Cell:
         env = FakeEnv(parts=2)
-        env.look = lambda: None  # type: ignore[method-assign]
+        env.look = lambda **_: None  # type: ignore[method-assign]
         return Cell(env, ScriptPicker(env, abstain(), abstain()))  # type: ignore[arg-type]
 
     record = evaluate_bin(CONFIG, 3, cells=CellCache(make))

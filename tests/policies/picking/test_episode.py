@@ -40,7 +40,7 @@ def test_an_abstention_between_two_failures_does_not_part_them() -> None:
 def test_a_new_frame_follows_one_abstention_and_a_second_ends_the_bin() -> None:
     result, env, _ = play(abstain(), attempt(DELIVERED), abstain(Abstention.IK_INFEASIBLE), abstain())
     assert result.termination is Termination.ABSTAINED
-    assert env.extra_frames == 2  # not after the last
+    assert env.extra_frames == env.likely_frames == 2  # not after the last
     assert [pick.abstention is not None for pick in result.picks] == [True, False, True, True]
     assert len(result.attempts) == 1
 

@@ -207,7 +207,7 @@ class Intermittent:
     count: int = 0
     frames: list[Floats] = field(default_factory=list)
 
-    def perceive(self, view: LabelledCapture, rng: np.random.Generator) -> ObservedCandidates:
+    def perceive(self, view: LabelledCapture, rng: np.random.Generator, *, likely: bool = False) -> ObservedCandidates:
         self.count += 1
         self.frames.append(view.capture.frame.depth)
         return OraclePerceiver().perceive(view, rng) if self.count in self.frames_with_parts else ObservedCandidates()

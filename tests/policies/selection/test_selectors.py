@@ -196,7 +196,7 @@ def test_failures_end_a_selectors_bin_as_the_environment_says(
 class Nothing:
     """Sees nothing."""
 
-    def perceive(self, *_: object) -> ObservedCandidates:
+    def perceive(self, *_: object, likely: bool = False) -> ObservedCandidates:
         return ObservedCandidates()
 
 
