@@ -23,7 +23,7 @@ from perception.pose.pose_estimate import PoseEstimate
 from perception.runtime.threads import use_threads
 from perception.segmentation.grouping.similarity import GroupingConfig
 
-LIKELY = 0.5  # smallest score of a likely pose: it is more likely right than wrong
+LIKELY = 0.5  # smallest surface score of a likely pose: what a gripper meets is more likely there than not
 MIN_POINTS = GroupingConfig().min_points  # smallest number of points of a true segment; the network's is the same
 _log = logging.getLogger(__name__)
 _warmed_up: set[str] = set()  # perception modes whose kernels this process has loaded
@@ -64,7 +64,8 @@ class PixelPerceiver:
         with use_threads(self._threads):
             perceived = self._recognise(labelled)
         if likely or not perceived.poses:
-            perceived = replace(perceived, poses=self._estimator.verified(perceived.estimates, LIKELY))
+            likely_ones = [each for each in perceived.estimates if each is not None and each.surface_score >= LIKELY]
+            perceived = replace(perceived, poses=self._estimator.verified(likely_ones, min_score=0.0))
         owners = point_owners(labelled, perceived.boundary)
         groups = [perceived.groups[pose.instance_idx].point_idx for pose in perceived.poses]
         pairs = zip(perceived.poses, groups, strict=True)

@@ -32,6 +32,7 @@ from perception.pose.selection.leftovers import leftover_groups
 from perception.pose.verification._verification_kernels import near_points
 from perception.pose.verification.boundary_index import BoundaryIndex, index_boundary
 from perception.pose.verification.perturbation import small_rotations
+from perception.pose.verification.same_surface import SameSurface
 from perception.pose.verification.verification import ObservedGroup
 from perception.runtime.threads import in_threads
 
@@ -79,6 +80,7 @@ class PoseEstimator:
             coarse_surface=surface_model(part, self.config.quick_spacing),
             perturbations=small_rotations(part),
             near_symmetries=near_symmetries(part, self.surface, self.config.near_symmetry),
+            same_surface=SameSurface(self.surface),
         )
 
     def estimate(self, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame) -> list[PoseEstimate]:

@@ -15,6 +15,7 @@ from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.confidence import confidence
 from perception.pose.verification.perturbation import score_drop
 from perception.pose.verification.refinement import refine_edges, refine_surface
+from perception.pose.verification.same_surface import SameSurface
 from perception.pose.verification.verification import ObservedGroup, Verdict, verify
 
 
@@ -30,6 +31,7 @@ class ScoringModels:
         coarse_surface: The same surface with fewer samples.
         perturbations: (K, 4, 4) small rotations in the part frame, for the score drop.
         near_symmetries: (S, 4, 4) motions in the part frame after which the part looks nearly the same.
+        same_surface: Tells poses apart that differ in their surface.
     """
 
     part: PartModel
@@ -39,6 +41,7 @@ class ScoringModels:
     coarse_surface: SurfaceModel
     perturbations: Floats
     near_symmetries: Floats
+    same_surface: SameSurface
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,18 +130,23 @@ class HypothesisScorer:
         part, config, verdict = self._models.part, self._config, best.verdict
         poses = np.array([rival.T_cam_part for rival in rivals]).reshape(-1, 4, 4)
         alike = are_alike(best.T_cam_part, poses, part, config.clusters)
-        different = [rival.logit for rival, same in zip(rivals, alike, strict=True) if not same]
-        margin = verdict.logit - max(different, default=-np.inf)
-        size = len(self._group.points_cam)
+        logits = np.array([rival.logit for rival in rivals])
+        margin = verdict.logit - float(logits[~alike].max(initial=-np.inf))
+        # Only rivals that are nearly as good lower the score: most estimates have none, and nothing to compare.
+        close = ~alike & (logits > verdict.logit - config.confidence.clear)
+        close[close] = ~self._models.same_surface.of(best.T_cam_part, poses[close])
+        elsewhere = verdict.logit - float(logits[close].max(initial=-np.inf))
+        size = max(len(self._group.points_cam), 1)
         return PoseEstimate(
             T_cam_part=best.T_cam_part,
-            score=confidence(verdict, margin, drop, max(size, 1), config.confidence),
+            score=confidence(verdict, margin, drop, size, config.confidence),
             instance_idx=instance_idx,
             visible_fraction=verdict.visible_fraction,
             verdict=verdict,
             margin=margin,
             score_drop=drop,
-            size=size,
+            size=len(self._group.points_cam),
+            surface_score=confidence(verdict, elsewhere, np.inf, size, config.confidence),
         )
 
     def _scored(self, T_cam_part: Floats, *, final: bool) -> ScoredHypothesis:

@@ -21,6 +21,9 @@ class PoseEstimate:
         score_drop: Smallest decrease of the logit when the part is rotated a little; infinite if the part's symmetry
             undoes every such rotation.
         size: Number of boundary points of the group after thinning.
+        surface_score: Score that the pose would have if other poses with nearly the same surface did not count against
+            it, in [0, 1]; at least ``score``. It ranks poses to grasp by, not to measure by: a screw whose turn about
+            its axis cannot be seen can still be picked.
     """
 
     T_cam_part: Floats
@@ -31,8 +34,10 @@ class PoseEstimate:
     margin: float
     score_drop: float
     size: int
+    surface_score: float
 
     def __post_init__(self) -> None:
         require_shape("T_cam_part", self.T_cam_part, (4, 4))
-        if not 0 <= self.score <= 1:
-            raise ValueError(f"score must be in [0, 1], got {self.score}")
+        for name in ("score", "surface_score"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be in [0, 1], got {getattr(self, name)}")

@@ -166,7 +166,7 @@ def test_gt_masks_segments_are_pure_and_a_networks_nearly(known: BinPickEnv, lea
 def doubtful(seen: Perception, *scores: float) -> Perception:
     """Return a perception whose poses have other scores, none of which is verified."""
     estimates: list[PoseEstimate | None] = [
-        replace(pose, score=score) for pose, score in zip(seen.poses, scores, strict=True)
+        replace(pose, score=score, surface_score=score) for pose, score in zip(seen.poses, scores, strict=True)
     ]
     return replace(seen, poses=[], estimates=[*estimates, None])
 
@@ -189,13 +189,19 @@ def test_beside_a_verified_pose_none_stands_in(known: BinPickEnv) -> None:
 
 def test_likely_poses_stand_beside_a_verified_one_where_they_are_asked_for(known: BinPickEnv) -> None:
     seen = seen_in(known)
-    estimates = [replace(pose, score=score) for pose, score in zip(seen.poses, (0.99, 0.3, 0.7), strict=True)]
+    pairs = (0.99, 0.99), (0.3, LIKELY), (0.7, 0.7)  # the second has a rival with nearly the same surface
+    estimates = [
+        replace(pose, score=score, surface_score=surface)
+        for pose, (score, surface) in zip(seen.poses, pairs, strict=True)
+    ]
     told = replace(seen, poses=estimates[:1], estimates=estimates)
     assert [c.score for c in shown(known, told).candidates] == [0.99]
     observed = shown(known, told, likely=True)
-    assert [c.score for c in observed.candidates] == [0.99, 0.7]
+    assert [c.score for c in observed.candidates] == [0.99, 0.7, 0.3]
     assert observed.perception is not None
-    assert [pose.score for pose in observed.perception.poses] == [0.99, 0.7]
+    assert [pose.score for pose in observed.perception.poses] == [0.99, 0.7, 0.3]
+    unlikely = [*estimates[:1], replace(estimates[1], surface_score=LIKELY - 0.01)]
+    assert [c.score for c in shown(known, replace(told, estimates=unlikely), likely=True).candidates] == [0.99]
 
 
 def test_the_cell_passes_on_that_likely_poses_are_asked_for(known: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:

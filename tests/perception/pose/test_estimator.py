@@ -204,6 +204,22 @@ def test_the_score_is_the_confidence() -> None:
         assert 0.1 * size < found.size < 0.4 * size  # the wires are sampled finely
 
 
+def test_rivals_with_nearly_the_same_surface_lower_the_score_alone() -> None:
+    sureness = ConfidenceConfig(bias=-2.0, margin=0.5, close_margin=2.0)
+    everywhere = quick_estimator(ELL, replace(CONFIG, confidence=sureness))
+    nowhere = quick_estimator(ELL, replace(CONFIG, confidence=sureness))
+    everywhere._models.same_surface.of = lambda T, others: np.ones(len(others), np.bool_)  # type: ignore[method-assign]
+    nowhere._models.same_surface.of = lambda T, others: np.zeros(len(others), np.bool_)  # type: ignore[method-assign]
+    scene = scene_of(ELL, PAIR[1], hiders=[PLATE])
+    (same,), (other,) = groups_of(scene, everywhere), groups_of(scene, nowhere)
+    assert same is not None
+    assert other is not None
+    size = max(same.size, 1)
+    assert same.score == other.score
+    assert same.surface_score == confidence(same.verdict, np.inf, np.inf, size, sureness)
+    assert other.surface_score == confidence(other.verdict, other.margin, np.inf, size, sureness)
+
+
 # What is kept
 
 
@@ -364,8 +380,9 @@ def test_nonsense_in_an_estimate_is_refused() -> None:
     with pytest.raises(ValueError, match=r"T_cam_part must be \(4, 4\), got \(3, 4\)"):
         replace(found, T_cam_part=np.eye(4)[:3])
     for score in (-0.1, 1.1, np.nan):
-        with pytest.raises(ValueError, match=rf"score must be in \[0, 1\], got {score}"):
-            replace(found, score=score)
+        for name in ("score", "surface_score"):
+            with pytest.raises(ValueError, match=rf"^{name} must be in \[0, 1\], got {score}"):
+                replace(found, **{name: score})
 
 
 def test_a_frame_without_depth_is_refused() -> None:

@@ -64,6 +64,7 @@ class Scorer:
             margin=0.0,
             score_drop=drop,
             size=0,
+            surface_score=1.0,
         )
 
 

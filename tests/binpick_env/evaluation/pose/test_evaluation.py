@@ -96,6 +96,7 @@ class TruthEstimator:
             margin=1.0,
             score_drop=2.0,
             size=50,
+            surface_score=1.0,
         )
 
 

@@ -28,6 +28,7 @@ def at(x: float, score: float) -> PoseEstimate:
         margin=0.0,
         score_drop=0.0,
         size=0,
+        surface_score=1.0,
     )
 
 

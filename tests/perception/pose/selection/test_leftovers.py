@@ -28,6 +28,7 @@ def estimate(x: float, score: float = 0.95) -> PoseEstimate:
         margin=3.0,
         score_drop=3.0,
         size=50,
+        surface_score=1.0,
     )
 
 

@@ -1,0 +1,44 @@
+"""Motions after which a part's surface is nearly where it was, such as a turn of a screw about its axis.
+
+A camera may be unable to tell the two poses apart, and for a gripper they are the same.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from perception.geometry import Floats
+from perception.pose.model.surface_models import SurfaceModel
+
+DISTANCE = 0.03  # largest distance of a moved sample from the surface, as a share of d_max
+SHARE = 0.8  # least share of the samples that stay on the surface
+_FACING = 0.7  # least cosine of the angle between the normals of a moved sample and of the surface there
+
+
+class SameSurface:
+    """Tells which poses of a part have nearly the same surface."""
+
+    def __init__(self, surface: SurfaceModel) -> None:
+        """Index the samples of a part's surface."""
+        self._surface = surface
+        self._tree = cKDTree(surface.points)
+
+    def of(self, T_cam_part: Floats, others: Floats) -> NDArray[np.bool_]:
+        """Return (K,) whether the part in each of (K, 4, 4) other poses covers nearly the same surface.
+
+        Args:
+            T_cam_part: (4, 4) pose of the part in the camera frame.
+            others: (K, 4, 4) poses to compare with it.
+        """
+        motions = np.linalg.inv(T_cam_part) @ others
+        return np.array([self._share(motion) >= SHARE for motion in motions], np.bool_)
+
+    def _share(self, motion: Floats) -> float:
+        """Return the share of samples that a (4, 4) motion in the part frame leaves on the surface."""
+        surface = self._surface
+        points, normals = surface.points @ motion[:3, :3].T + motion[:3, 3], surface.normals @ motion[:3, :3].T
+        distance, nearest = self._tree.query(points)
+        gaps = np.abs(np.einsum("ni,ni->n", points - surface.points[nearest], surface.normals[nearest]))
+        facing = np.einsum("ni,ni->n", normals, surface.normals[nearest])
+        stays = (gaps <= DISTANCE * surface.d_max) & (distance < 2 * surface.spacing) & (facing > _FACING)
+        return float(stays.mean())
