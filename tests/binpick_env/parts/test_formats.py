@@ -255,16 +255,19 @@ def test_parts_of_1_um_and_10_m(save: Save, size: float) -> None:
         read_mesh(path, unit="m")
 
 
-def test_many_faces_are_simplified_to_a_stated_deviation(save: Save, caplog: pytest.LogCaptureFixture) -> None:
+def test_many_faces_are_simplified_to_a_stated_deviation(
+    save: Save, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("binpick_env.parts.mesh_file.MAX_FACES", 20_000)
     fine = creation.cylinder(radius=0.02, height=0.05, sections=5)
     volume = fine.volume
-    for _ in range(7):
+    for _ in range(5):
         fine = fine.subdivide()
     with caplog.at_level(logging.WARNING):
         mesh = read_mesh(save(fine))
     assert mesh.volume == pytest.approx(volume, rel=1e-5)
-    assert len(mesh.faces) < 20_000
-    assert "has 327680 faces; it was simplified to" in caplog.text
+    assert len(mesh.faces) < 2_000
+    assert "has 20480 faces; it was simplified to" in caplog.text
 
 
 def test_faces_that_cannot_be_fewer_are_refused(save: Save, monkeypatch: pytest.MonkeyPatch) -> None:

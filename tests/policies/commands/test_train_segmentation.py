@@ -34,15 +34,23 @@ from tests.perception.disc_scene import disc_scene
 from tests.policies.commands.command_calls import script, start
 
 
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the scenes of two parts."""
+    runs = tmp_path_factory.mktemp("runs")
+    for part in ("bracket", "tee"):
+        for k in range(3):
+            disc_scene(k, points_each=40).save(runs / f"scenes-{part}-0" / f"scene_{k:05d}.npz")
+        (runs / f"scenes-{part}-0" / SCENES_NOTE).write_text(json.dumps({"part": part, "seed": 3}))
+    return runs
+
+
 @pytest.fixture(autouse=True)
-def _scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _scenes(tmp_path: Path, scenes: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Go to a folder with scenes of two parts; weights go to a cache of their own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
-    for part in ("bracket", "tee"):
-        for k in range(3):
-            disc_scene(k, points_each=40).save(tmp_path / "runs" / f"scenes-{part}-0" / f"scene_{k:05d}.npz")
-        (tmp_path / "runs" / f"scenes-{part}-0" / SCENES_NOTE).write_text(json.dumps({"part": part, "seed": 3}))
+    shutil.copytree(scenes, tmp_path / "runs")
     before = torch.get_num_threads()
     yield
     torch.set_num_threads(before)

@@ -16,6 +16,7 @@ from policies.grasping.gripper import gripper_model
 from policies.grasping.outcomes import Grasp
 
 FEW = GraspSettings(samples=250, max_grasps=600, max_checked=5000)
+TINY = GraspSettings(samples=20, turns=4)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -115,33 +116,33 @@ def test_no_gripper_point_lies_inside_the_part(make, request):
             assert not inside.any()
 
 
-def test_same_seed_same_grasps_and_the_cache_returns_them(cache, monkeypatch, block, tmp_path):
-    again = sample_grasps(block_model(), FEW)
+def test_same_seed_same_grasps_and_the_cache_returns_them(monkeypatch, tmp_path):
+    first = sample_grasps(block_model(), TINY)
+    again = sample_grasps(block_model(), TINY)
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path))
-    anew = sample_grasps(block_model(), FEW)
+    anew = sample_grasps(block_model(), TINY)
     for grasps in (again, anew):
-        np.testing.assert_array_equal(grasps.T_part_grasp, block.T_part_grasp)
-        np.testing.assert_array_equal(grasps.clear, block.clear)
-        np.testing.assert_array_equal(grasps.surface, block.surface)
-    other = sample_grasps(block_model(), FEW, seed=1)
-    assert other.T_part_grasp.shape != block.T_part_grasp.shape or not np.allclose(other.quality, block.quality)
+        np.testing.assert_array_equal(grasps.T_part_grasp, first.T_part_grasp)
+        np.testing.assert_array_equal(grasps.clear, first.clear)
+        np.testing.assert_array_equal(grasps.surface, first.surface)
+    other = sample_grasps(block_model(), TINY, seed=1)
+    assert other.T_part_grasp.shape != first.T_part_grasp.shape or not np.allclose(other.quality, first.quality)
 
 
 def test_a_spoilt_cache_file_is_computed_anew(monkeypatch, tmp_path, caplog):
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path))
-    tiny = GraspSettings(samples=20, turns=4)
-    first = sample_grasps(block_model(), tiny)
+    first = sample_grasps(block_model(), TINY)
     (stored,) = tmp_path.glob("grasps-*.npz")
     stored.write_bytes(b"spoilt")
     with caplog.at_level(logging.WARNING):
-        second = sample_grasps(block_model(), tiny)
+        second = sample_grasps(block_model(), TINY)
     assert "computing it anew" in caplog.text
     np.testing.assert_array_equal(first.T_part_grasp, second.T_part_grasp)
     assert not list(tmp_path.glob("*.part"))
 
 
 def test_a_part_too_large_for_the_jaw_has_no_grasp(caplog):
-    cube = PartModel.from_mesh("cube", trimesh.creation.box(extents=(0.2, 0.2, 0.2)))
+    cube = PartModel.from_mesh("cube", trimesh.creation.box(extents=(0.1, 0.1, 0.1)))
     with caplog.at_level(logging.WARNING):
         grasps = sample_grasps(cube, FEW)
     assert len(grasps) == 0
@@ -210,7 +211,7 @@ def test_finer_rays_find_a_shallow_contact():
 @pytest.mark.parametrize("thickness", [0.004, 0.006])
 def test_a_plate_on_the_floor_can_be_picked_up_by_its_rim(thickness):
     plate = PartModel.from_mesh("plate", trimesh.creation.box(extents=(0.06, 0.04, thickness)))
-    grasps = sample_grasps(plate, GraspSettings(samples=200, turns=4))
+    grasps = sample_grasps(plate, GraspSettings(samples=100, turns=4))
     clear = clear_of_floor(make_transform(None, (0, 0, thickness / 2)), grasps, gripper_model())
     assert clear.sum() >= 10
     assert grasps.width[clear].min() > 0.039
@@ -218,8 +219,9 @@ def test_a_plate_on_the_floor_can_be_picked_up_by_its_rim(thickness):
 
 def test_the_grid_stays_as_it_is_for_a_part_that_is_not_thin():
     model = PartModel.from_mesh("block", trimesh.creation.box(extents=(0.03, 0.05, 0.0121)))
-    as_thick = sample_grasps(model, replace(FEW, thin=1e-6))
-    np.testing.assert_array_equal(sample_grasps(model, FEW).T_part_grasp, as_thick.T_part_grasp)
+    as_thick = sample_grasps(model, replace(TINY, thin=1e-6))
+    assert len(as_thick) > 100
+    np.testing.assert_array_equal(sample_grasps(model, TINY).T_part_grasp, as_thick.T_part_grasp)
 
 
 def test_patches_that_do_not_lie_opposite_are_no_grasp():

@@ -1,15 +1,12 @@
 """Attempts of the scripted picker that fail on the real physics: every fault ends as it is named."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 
 from binpick_env.cell.delivery import Delivery
-from binpick_env.env import BinPickEnv
 from perception.geometry import Floats, make_transform, rotation_angle
 from policies.grasping.clearance import RankSettings
 from policies.grasping.outcomes import Abstention, GraspOutcome
@@ -228,11 +225,3 @@ def test_a_part_that_was_lost_before_is_not_this_attempts(tees: HandCell, monkey
     result = tees.picker.pick()
     assert result.outcome is GraspOutcome.MISSED
     assert [event.kind for event in tees.env.events] == [Delivery.LEFT_BIN]
-
-
-def test_a_part_too_wide_for_the_jaw_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path))
-    trimesh.creation.box((0.09, 0.09, 0.09)).export(tmp_path / "block.stl")
-    env = BinPickEnv(str(tmp_path / "block.stl"), num_parts=1, perception="oracle", symmetry="none")
-    with pytest.raises(ValueError, match=r"the jaw \(stroke 85 mm\) finds no grasp on 'block'"):
-        ScriptedPicker(env)

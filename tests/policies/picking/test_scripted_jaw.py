@@ -1,6 +1,7 @@
 """The scripted picker with a jaw that opens less than the gripper could."""
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,7 +14,7 @@ from binpick_env.env import BinPickEnv
 from policies.grasping.outcomes import GraspOutcome
 from policies.picking.fast_execution import fast_pickers
 from policies.picking.scripted import Plan, ScriptedPicker
-from tests.policies.hand_cell import HandCell, hand_cell
+from tests.policies.hand_cell import SMALL_IMAGE, HandCell, hand_cell
 
 JAW = 0.05
 NARROW = CellConfig(robot=RobotConfig(jaw=JAW))
@@ -44,10 +45,10 @@ def test_no_grasp_and_no_plan_opens_wider_than_the_jaw(narrow: HandCell) -> None
 
 
 @pytest.mark.parametrize("fast", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_an_attempt_opens_no_wider_than_the_jaw(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    cell = hand_cell("tee", 1, config=NARROW)
+def test_an_attempt_opens_no_wider_than_the_jaw(narrow: HandCell, fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = narrow
     if fast:
-        cell.picker, _ = fast_pickers(cell.env, None, "oracle")
+        monkeypatch.setattr(cell, "picker", fast_pickers(cell.env, None, "oracle")[0])
     cell.lay(cell.flat(0.03, yaw=0.4))
     openings = [pad_distance(cell.env)]
     step = cell.env.simulation.step
@@ -63,9 +64,19 @@ def test_an_attempt_opens_no_wider_than_the_jaw(fast: bool, monkeypatch: pytest.
     assert min(openings) < 0.03 < JAW - 0.003 < max(openings) < JAW + 0.001
 
 
-def test_a_part_wider_than_the_jaw_is_refused_with_both_widths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("side", "jaw", "text"),
+    [
+        (0.06, JAW, r"jaw \(stroke 50 mm\) finds no grasp on 'block'.*60 mm apart"),
+        (0.09, None, r"\(stroke 85 mm\).*90 mm"),
+    ],
+)
+def test_a_part_wider_than_the_jaw_is_refused_with_both_widths(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, side: float, jaw: float | None, text: str
+) -> None:
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path))
-    trimesh.creation.box((0.06, 0.06, 0.06)).export(tmp_path / "block.stl")
-    env = BinPickEnv(str(tmp_path / "block.stl"), num_parts=1, perception="oracle", symmetry="none", config=NARROW)
-    with pytest.raises(ValueError, match=r"jaw \(stroke 50 mm\) finds no grasp on 'block'.*60 mm apart"):
+    trimesh.creation.box((side, side, side)).export(tmp_path / "block.stl")
+    options: dict[str, Any] = {"perception": "oracle", "symmetry": "none", "jaw": jaw, "camera": SMALL_IMAGE}
+    env = BinPickEnv(str(tmp_path / "block.stl"), num_parts=1, **options)
+    with pytest.raises(ValueError, match=text):
         ScriptedPicker(env)

@@ -14,9 +14,11 @@ from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
 from binpick_env.observation.oracle import OraclePerceiver
 from perception.geometry import Floats
+from policies.grasping.clearance import RankSettings
 from policies.grasping.outcomes import Abstention, GraspOutcome
 from policies.picking.episode import Termination
 from policies.picking.scripted import Plan
+from policies.picking.settings import PickerSettings
 from policies.selection.candidate_generator import ROWS
 from policies.selection.env import ABSTAINED, GraspSelectionEnv
 from policies.selection.features import column
@@ -71,7 +73,8 @@ def test_the_fingers_clearances_agree_with_the_rankings(env: GraspSelectionEnv) 
 
 
 def test_a_bin_out_of_reach_has_no_candidate() -> None:
-    env = GraspSelectionEnv(config=CellConfig(bin=BinConfig(position=(1.4, 0.0))), **SMALL)
+    picker = PickerSettings(rank=RankSettings(per_candidate=1))
+    env = GraspSelectionEnv(config=CellConfig(bin=BinConfig(position=(1.4, 0.0))), picker=picker, per_part=1, **SMALL)
     lay(env, (0.0, 0.0))
     assert (choices(env), env._candidates.reason) == ([], Abstention.IK_INFEASIBLE)
     env.close()
@@ -157,31 +160,23 @@ def test_after_a_miss_the_grasp_is_gone_and_its_part_comes_last_as_a_suspect(
 MISSED, DELIVERED = GraspOutcome.MISSED, GraspOutcome.DELIVERED
 
 
-@pytest.mark.parametrize(
-    ("max_failures", "outcomes", "ends"),
-    [
+def test_failures_in_a_row_end_a_bin(env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    lay(env, (0.0, 0.0))
+    for max_failures, outcomes, ends in (
         (2, [MISSED, MISSED], True),
         (2, [MISSED, DELIVERED, MISSED], False),
         (1, [DELIVERED, MISSED], True),
         (3, [MISSED, MISSED], False),
         (None, [MISSED] * 6, False),
-    ],
-)
-def test_failures_in_a_row_end_a_bin(
-    env: GraspSelectionEnv,
-    monkeypatch: pytest.MonkeyPatch,
-    max_failures: int | None,
-    outcomes: list[GraspOutcome],
-    ends: bool,
-) -> None:
-    lay(env, (0.0, 0.0))
-    monkeypatch.setattr(env, "max_failures", max_failures)
-    unexecuted(env, monkeypatch, *outcomes)
-    for n, outcome in enumerate(outcomes, start=1):
-        _, reward, terminated, truncated, info = step(env, 0)
-        assert reward == (1.0 if outcome is DELIVERED else -0.1)
-        assert (terminated, truncated) == (ends and n == len(outcomes), False)
-    assert info["termination"] == ("2F" if ends else "")
+    ):
+        env._begin()  # nothing has moved
+        monkeypatch.setattr(env, "max_failures", max_failures)
+        unexecuted(env, monkeypatch, *outcomes)
+        for n, outcome in enumerate(outcomes, start=1):
+            _, reward, terminated, truncated, info = step(env, 0)
+            assert reward == (1.0 if outcome is DELIVERED else -0.1)
+            assert (terminated, truncated) == (ends and n == len(outcomes), False), (max_failures, outcomes[:n])
+        assert info["termination"] == ("2F" if ends else ""), (max_failures, outcomes)
 
 
 def test_an_abstention_adds_to_the_failures(env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> None:
