@@ -17,7 +17,7 @@ _ADVICE = "its surfaces may cross each other; export the part as one solid, or r
 
 
 def decompose(
-    mesh: trimesh.Trimesh, settings: Mapping[str, float], *, program: Path = PROGRAM, timeout: float = _TIMEOUT
+    mesh: trimesh.Trimesh, settings: Mapping[str, float | str], *, program: Path = PROGRAM, timeout: float = _TIMEOUT
 ) -> list[Floats]:
     """Return the (V, 3) vertices of each convex piece that CoACD finds.
 

@@ -8,6 +8,7 @@ import manifold3d
 import numpy as np
 import trimesh
 
+from binpick_env.parts.contacts import groups_in_contact
 from binpick_env.parts.simplification import from_manifold, to_manifold
 from perception.geometry import Floats
 from perception.winding import outward, shells_of, signed_volume
@@ -28,25 +29,34 @@ def united(meshes: Sequence[trimesh.Trimesh], path: Path) -> trimesh.Trimesh:
         path: File that the meshes were read from, which errors name.
 
     Raises:
-        ValueError: Bodies remain apart, or a surface crosses itself.
+        ValueError: Bodies remain apart, touch only along an edge or in a point, or a surface crosses itself.
     """
     bodies = [body for mesh in meshes for body in bodies_of(outward(mesh))]
     if len(bodies) == 1:
         return bodies[0]
     vertices = np.concatenate([body.vertices for body in bodies])
     scale, origin = float(np.ptp(vertices, axis=0).max()), vertices.mean(axis=0)
-    found, apart = None, len(bodies)
+    found, apart, thin = None, len(bodies), False
     for gap in _GAPS:
-        union = _union([_enlarged(body, gap * scale) for body in bodies], scale, origin, 4 * gap)
+        solids = _solids([_enlarged(body, gap * scale) for body in bodies], scale, origin)
+        union = None if solids is None else _union(solids, scale, 4 * gap)
         if union is None and found is None:
             raise ValueError(f"{path} holds {len(bodies)} bodies, and a surface of one is no closed solid")
-        if union is None:
+        if union is None or solids is None:
             continue
         left = sum(signed_volume(surface) > 0 for surface in _surfaces(union))
         if found is None or left < apart or (left == apart and union.area < (1 - _CRACKED) * found.area):
             found, apart = union, left
         if apart == 1 and gap > 0:
+            apart = groups_in_contact(solids, gap)
+            thin = apart > 1
             break
+    if thin:
+        raise ValueError(
+            f"{path} holds {len(bodies)} bodies, of which {apart} remain apart: they touch only along an edge or in a "
+            "point, which holds nothing together, but a part is one rigid body: save one body per file, or let them "
+            "overlap"
+        )
     if found is None or apart > 1:
         raise ValueError(
             f"{path} holds {len(bodies)} bodies, of which {apart} remain apart, but a part is one rigid body: "
@@ -96,13 +106,16 @@ def _surfaces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     return [trimesh.Trimesh(mesh.vertices, faces[shell], process=False) for shell in shells_of(mesh)]
 
 
-def _union(bodies: Sequence[trimesh.Trimesh], scale: float, origin: Floats, tolerance: float) -> trimesh.Trimesh | None:
-    """Return the union of bodies, moved to the origin; None if one of them is no closed solid."""
+def _solids(bodies: Sequence[trimesh.Trimesh], scale: float, origin: Floats) -> list[manifold3d.Manifold] | None:
+    """Return bodies as solids, moved to the origin and divided by ``scale``; None if one of them is not closed."""
     solids = [to_manifold(np.asarray(body.vertices) - origin, body.faces, scale) for body in bodies]
     closed = [solid for solid in solids if solid is not None]
-    if len(closed) < len(bodies):
-        return None
-    whole = manifold3d.Manifold.batch_boolean(closed, manifold3d.OpType.Add)
+    return closed if len(closed) == len(bodies) else None
+
+
+def _union(solids: Sequence[manifold3d.Manifold], scale: float, tolerance: float) -> trimesh.Trimesh:
+    """Return the mesh of the union of solids, multiplied by ``scale``."""
+    whole = manifold3d.Manifold.batch_boolean(list(solids), manifold3d.OpType.Add)
     return from_manifold(whole.simplify(tolerance) if tolerance else whole, scale)
 
 

@@ -7,6 +7,7 @@ more, with a quarter of false volume left; the drawing has 5 bodies, exact outsi
 """
 
 import logging
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
@@ -16,13 +17,15 @@ import trimesh
 from numpy.typing import NDArray
 
 from binpick_env.parts.decomposition import decompose
-from binpick_env.parts.hull import is_nearly_convex, thinned_hull
+from binpick_env.parts.hull import distance_outside, is_nearly_convex, thinned_hull
 from binpick_env.parts.simplification import simplified
+from perception.geometry import Floats
 from perception.runtime.cache import Arrays, cached_arrays, digest
 
 log = logging.getLogger(__name__)
 _MANY_FACES = 2000  # number of faces above which a mesh is simplified before it is cut: CoACD takes 1.5 ms a face
-_TOLERANCE = 0.01  # largest deviation of the simplified mesh, as a share of the largest extent
+_TOLERANCE = 0.01  # largest deviation of the simplified mesh and of its pieces, as a share of the largest extent
+_TIMEOUT = 120.0  # time after which a cut without remeshing is given up [s]; it takes seconds
 Pieces = tuple[trimesh.Trimesh, ...]
 
 
@@ -69,7 +72,8 @@ def convex_pieces(mesh: trimesh.Trimesh, settings: PieceSettings | None = None) 
         return _packed(_compute(mesh, settings))
 
     content = (np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64))
-    key = digest("v2", version("coacd"), sorted(asdict(settings).items()), *content)
+    edition = "v2" if len(mesh.faces) <= _MANY_FACES else "v3"
+    key = digest(edition, version("coacd"), sorted(asdict(settings).items()), *content)
     return _unpacked(cached_arrays("pieces", key, compute))
 
 
@@ -77,23 +81,7 @@ def _compute(mesh: trimesh.Trimesh, settings: PieceSettings) -> Pieces:
     """Return the convex pieces of a mesh: itself if it is convex, or else what CoACD finds."""
     if is_nearly_convex(mesh):
         return (thinned_hull(np.asarray(mesh.vertices, np.float64), settings.max_vertices),)
-    coarse, iterations = mesh, settings.iterations
-    if len(mesh.faces) > _MANY_FACES:
-        found = simplified(mesh, _TOLERANCE * float(np.linalg.norm(mesh.extents)))
-        if found is not None:
-            log.info("%d faces were simplified to %d for the pieces", len(mesh.faces), len(found.faces))
-            coarse, iterations = found, max(1, settings.iterations // 3)  # cuts need not be finer than the mesh
-    log.info("cutting a mesh of %d faces into convex pieces; this is done once", len(coarse.faces))
-    hulls = decompose(
-        coarse,
-        {
-            "threshold": settings.threshold,
-            "max_convex_hull": settings.max_pieces,
-            "mcts_iterations": iterations,
-            "resolution": settings.resolution,
-            "seed": settings.seed,
-        },
-    )
+    hulls = _cut(mesh, settings)
     least = 1e-6 * float(np.prod(mesh.extents))  # smaller hulls are slivers of the cuts and carry no contact
     solid = [
         vertices for vertices in hulls if len(vertices) >= 4 and np.linalg.matrix_rank(vertices - vertices[0]) == 3
@@ -104,6 +92,49 @@ def _compute(mesh: trimesh.Trimesh, settings: PieceSettings) -> Pieces:
         raise ValueError(f"CoACD found no convex piece in a mesh of {len(mesh.faces)} faces and {mesh.volume:.3g} m^3")
     log.info("the part has %d convex pieces", len(pieces))
     return tuple(pieces)
+
+
+def _cut(mesh: trimesh.Trimesh, settings: PieceSettings) -> list[Floats]:
+    """Return the vertices of each convex piece that CoACD finds, in a simplified mesh if there are many faces."""
+    arguments: dict[str, float | str] = {
+        "threshold": settings.threshold,
+        "max_convex_hull": settings.max_pieces,
+        "mcts_iterations": settings.iterations,
+        "resolution": settings.resolution,
+        "seed": settings.seed,
+    }
+    tolerance = _TOLERANCE * float(np.linalg.norm(mesh.extents))
+    coarse = simplified(mesh, tolerance) if len(mesh.faces) > _MANY_FACES else None
+    if coarse is None:
+        log.info("cutting a mesh of %d faces into convex pieces; this is done once", len(mesh.faces))
+        return decompose(mesh, arguments)
+    log.info(
+        "%d faces were simplified to %d, which deviate by at most %.2f mm and are cut into convex pieces; once",
+        len(mesh.faces),
+        len(coarse.faces),
+        1e3 * coarse.metadata["deviation"],
+    )
+    arguments["mcts_iterations"] = max(1, settings.iterations // 3)  # cuts need not be finer than the mesh
+    hulls = _cut_as_it_is(coarse, {**arguments, "resolution": max(100, settings.resolution // 3)})
+    missed = distance_outside(np.asarray(mesh.vertices, np.float64), hulls)
+    if missed <= tolerance:
+        log.info("the pieces miss points of the part by at most %.2f mm", 1e3 * missed)
+        return hulls
+    log.info("the pieces miss points of the part by %.2f mm: the mesh is cut again, from voxels", 1e3 * missed)
+    return decompose(coarse, arguments)
+
+
+def _cut_as_it_is(mesh: trimesh.Trimesh, arguments: Mapping[str, float | str]) -> list[Floats]:
+    """Cut a closed mesh without CoACD's remeshing; no pieces if that fails.
+
+    Simplified meshes have a few faces that cross each other. CoACD therefore remeshes them from voxels, to many times
+    as many faces and to 5 % more volume (measured on an organic part), although its cuts mostly succeed without that.
+    """
+    try:
+        return decompose(mesh, {**arguments, "preprocess_mode": "off"}, timeout=_TIMEOUT)
+    except ValueError as error:
+        log.info("%s", error)
+        return []
 
 
 def _packed(pieces: Pieces) -> dict[str, NDArray[Any]]:

@@ -45,10 +45,12 @@ class SurfaceProbe:
 
 def hausdorff_distance(first: trimesh.Trimesh, second: trimesh.Trimesh, *, samples: int = 4000) -> float:
     """Return the largest distance [m] of either surface from the other, over all vertices and ``samples`` points."""
-    return max(_farthest(first, second, samples), _farthest(second, first, samples))
+    there = farthest(first, SurfaceProbe(second, samples=1), samples=samples)
+    return max(there, farthest(second, SurfaceProbe(first, samples=1), samples=samples))
 
 
-def _farthest(mesh: trimesh.Trimesh, other: trimesh.Trimesh, samples: int) -> float:
+def farthest(mesh: trimesh.Trimesh, other: SurfaceProbe, *, samples: int = 4000) -> float:
+    """Return the largest distance [m] of a mesh's vertices and of ``samples`` of its points from another surface."""
     spread = trimesh.sample.sample_surface(mesh, samples, seed=0)[0]
     points = np.concatenate([np.asarray(mesh.vertices, np.float64), spread])
-    return float(SurfaceProbe(other, samples=1).distance(points).max())
+    return float(other.distance(points).max())

@@ -76,3 +76,40 @@ def scatter(points: Floats, pairs: Ints, chain: Ints) -> Floats:
             for j in range(3):
                 out[n, i, j] = square[n, i, j] / count[n] - (total[n, i] / count[n]) * (total[n, j] / count[n])
     return out
+
+
+@njit(cache=True, nogil=True)
+def chains(ends: Ints) -> Ints:
+    """Return the (E,) label of the connected chain that each of (E, 2) edges belongs to: one of its vertices.
+
+    Args:
+        ends: (E, 2) indices of the vertices of each edge.
+    """
+    parent = np.arange(ends.max() + 1 if len(ends) else 0)
+    for e in range(len(ends)):
+        a, b = ends[e, 0], ends[e, 1]
+        while parent[a] != a:
+            parent[a] = parent[parent[a]]
+            a = parent[a]
+        while parent[b] != b:
+            parent[b] = parent[parent[b]]
+            b = parent[b]
+        parent[max(a, b)] = min(a, b)
+    out = np.empty(len(ends), dtype=np.int64)
+    for e in range(len(ends)):
+        a = ends[e, 0]
+        while parent[a] != a:
+            a = parent[a]
+        out[e] = a
+    return out
+
+
+@njit(cache=True, nogil=True)
+def cross_products(first: Floats, second: Floats) -> Floats:
+    """Return the (N, 3) cross products of (N, 3) vectors, with the bits of ``np.cross``."""
+    out = np.empty((len(first), 3))
+    for n in range(len(first)):
+        out[n, 0] = first[n, 1] * second[n, 2] - first[n, 2] * second[n, 1]
+        out[n, 1] = first[n, 2] * second[n, 0] - first[n, 0] * second[n, 2]
+        out[n, 2] = first[n, 0] * second[n, 1] - first[n, 1] * second[n, 0]
+    return out

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from perception.geometry import Floats
-from perception.pose.model._edge_kernels import bounding, facing, scatter
+from perception.pose.model._edge_kernels import bounding, chains, cross_products, facing, scatter
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -144,7 +142,7 @@ def inset_points(
     if inset == 0 or len(chosen) == 0:
         return points
     towards = towards_eye(points, eye)
-    aside = _unit(np.cross(samples.tangents[chosen], towards))
+    aside = _unit(cross_products(samples.tangents[chosen], towards))
     outwards = np.sign(np.einsum("ci,ci->c", aside, samples.outward[chosen]))[:, None] * aside
     origins = points - inset * outwards + 2 * diameter * towards
     hits, ray, _ = mesh.ray.intersects_location(origins, -towards, multiple_hits=False)
@@ -164,7 +162,7 @@ def chain_tangents(samples: EdgeSamples, chosen: Ints, radius: float) -> Floats:
     short = np.nonzero(samples.length[chosen] < radius)[0]
     if len(short) == 0:
         return tangents
-    points, chain = samples.points[chosen[short]], _chains(samples.ends[chosen[short]])
+    points, chain = samples.points[chosen[short]], chains(samples.ends[chosen[short]])
     pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
     values, axes = np.linalg.eigh(scatter(points, pairs, chain))
     straight = values[:, 2] - values[:, 1] > STRAIGHT * values[:, 2]
@@ -195,7 +193,7 @@ def _stands_out(
     if len(chosen) == 0:
         return np.zeros(0, dtype=np.bool_)
     points, rows = samples.points[chosen], np.arange(len(chosen))
-    aside = _unit(np.cross(samples.tangents[chosen], towards))
+    aside = _unit(cross_products(samples.tangents[chosen], towards))
     inward = np.einsum("ci,ci->c", aside, samples.opposite[chosen, near] - points)
     beside = points - (np.sign(inward) * ASIDE * limits.diameter)[:, None] * aside
     back = 2 * limits.diameter
@@ -206,15 +204,6 @@ def _stands_out(
     turn[ray] = np.arccos(np.clip(np.einsum("ci,ci->c", normals[ray], mesh.face_normals[face]), -1, 1))
     stands_out: Bools = (drop > limits.depth_jump) | ((turn > limits.crease) & (drop > -ASIDE * limits.diameter))
     return stands_out
-
-
-def _chains(ends: Ints) -> Ints:
-    """Return the (E,) index of the connected chain that each of (E, 2) edges belongs to."""
-    vertices, compact = np.unique(ends, return_inverse=True)
-    compact = compact.reshape(-1, 2)
-    links = coo_matrix((np.ones(len(ends)), (compact[:, 0], compact[:, 1])), shape=(len(vertices), len(vertices)))
-    chain_of_vertex = connected_components(links, directed=False)[1]
-    return np.asarray(chain_of_vertex[compact[:, 0]], dtype=np.int64)
 
 
 def _unit(vectors: Floats) -> Floats:

@@ -9,6 +9,8 @@ import trimesh
 from binpick_env.parts import load_part
 from binpick_env.parts.file_facts import FileFacts
 from binpick_env.parts.mesh_file import read_mesh
+from binpick_env.parts.simplification import simplified
+from binpick_env.parts.surface import SurfaceProbe
 from perception.geometry import make_transform
 from tests.binpick_env.parts.part_meshes import ell
 
@@ -54,10 +56,11 @@ def test_edges_of_more_than_two_faces_are_a_repair(tmp_path: Path) -> None:
     near, far = (
         creation.box((0.02, 0.02, 0.01), make_transform(translation=np.full(3, k) * (1, 1, 0))) for k in (0, 0.02)
     )
-    trimesh.util.concatenate([near, far]).export(tmp_path / "edge.stl")
+    plate = creation.box((0.03, 0.03, 0.004), make_transform(translation=(0.01, 0.01, 0)))  # without it they are apart
+    trimesh.util.concatenate([near, far, plate]).export(tmp_path / "edge.stl")
     facts = facts_of(tmp_path / "edge.stl")
     assert facts.repairs == ("1 edges of more than two faces separated, which changed the surface's area by +0 %",)
-    assert facts.bodies == 2
+    assert facts.bodies == 3
 
 
 def test_a_simplified_mesh_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,3 +69,17 @@ def test_a_simplified_mesh_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     box.export(tmp_path / "fine.ply")
     (repair,) = facts_of(tmp_path / "fine.ply").repairs
     assert repair.startswith("simplified from 768 to ")
+
+
+def test_the_search_tree_of_a_mesh_of_many_faces_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    ball = creation.icosphere(subdivisions=4, radius=0.03)
+    counts: list[int] = []
+
+    class CountedProbe(SurfaceProbe):
+        def __init__(self, mesh: trimesh.Trimesh, *, samples: int = 2000) -> None:
+            counts.append(len(mesh.faces))
+            super().__init__(mesh, samples=samples)
+
+    monkeypatch.setattr("binpick_env.parts.simplification.SurfaceProbe", CountedProbe)
+    simplified(ball, 0.0006)
+    assert counts.count(len(ball.faces)) == 1

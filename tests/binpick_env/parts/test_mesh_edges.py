@@ -99,11 +99,42 @@ def test_an_open_surface_stays_open() -> None:
 
 
 def test_a_surface_that_touches_itself_along_an_edge_is_one_body(tmp_path: Path) -> None:
-    ring = [cube(x, y) for x in (0, 0.02, 0.04) for y in (0, 0.02, 0.04) if (x, y) not in ((0, 0.02), (0.02, 0.0))]
+    ring = [cube(x, y) for x in (0, 0.02, 0.04) for y in (0, 0.02, 0.04) if (x, y) not in ((0, 0), (0.02, 0.02))]
     whole = trimesh.boolean.union(ring, engine="manifold")
     whole.merge_vertices()
     whole.export(tmp_path / "part.stl")
     assert read_mesh(tmp_path / "part.stl", "m").volume == pytest.approx(7 * 0.02**3, rel=1e-4)
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj"])
+@pytest.mark.parametrize(
+    "shift",
+    [(0.02, 0.02, 0), (0.02, 0.02, 0.007), (0.02, 0.02, 0.02), (0.013, 0.02, 0.02)],
+    ids=["edge", "part of an edge", "vertex", "part of another edge"],
+)
+def test_bodies_that_touch_along_an_edge_or_in_a_point_are_apart(
+    tmp_path: Path, shift: tuple[float, float, float], suffix: str
+) -> None:
+    path = tmp_path / f"part.{suffix}"
+    trimesh.util.concatenate([cube(0), cube(*shift)]).export(path)
+    with pytest.raises(ValueError, match="holds 2 bodies, of which 2 remain apart: they touch only along an edge"):
+        read_mesh(path, "m")
+
+
+def test_bodies_that_touch_along_an_edge_and_are_joined_by_a_third_are_one(tmp_path: Path) -> None:
+    trimesh.util.concatenate([cube(0), cube(0.02, 0.02), cube(0.02)]).export(tmp_path / "part.stl")
+    assert read_mesh(tmp_path / "part.stl", "m").volume == pytest.approx(3 * 0.02**3, rel=1e-4)
+
+
+def test_one_body_that_hangs_on_by_an_edge_is_counted(tmp_path: Path) -> None:
+    trimesh.util.concatenate([cube(0), cube(0.02), cube(0.04, 0.02)]).export(tmp_path / "part.stl")
+    with pytest.raises(ValueError, match="holds 3 bodies, of which 2 remain apart"):
+        read_mesh(tmp_path / "part.stl", "m")
+
+
+def test_a_small_common_face_holds_bodies_together(tmp_path: Path) -> None:
+    trimesh.util.concatenate([cube(0), cube(0.02, 0.0199, 0.0199)]).export(tmp_path / "part.stl")
+    assert read_mesh(tmp_path / "part.stl", "m").volume == pytest.approx(2 * 0.02**3, rel=1e-4)
 
 
 def test_a_mesh_whose_faces_are_all_there_twice_is_read_once(tmp_path: Path) -> None:

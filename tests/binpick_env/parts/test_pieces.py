@@ -11,6 +11,7 @@ import trimesh
 
 from binpick_env.parts import PieceSettings, convex_pieces, pieces
 from binpick_env.parts.decomposition import decompose
+from binpick_env.parts.hull import _planes, distance_outside
 from binpick_env.parts.simplification import simplified
 from binpick_env.parts.surface import hausdorff_distance
 from tests.binpick_env.parts.part_meshes import ell, naive_distance
@@ -127,6 +128,61 @@ def test_many_faces_are_simplified_before_they_are_cut(cache: Path, caplog: pyte
         found = convex_pieces(mesh, FAST)
     assert "faces were simplified to" in caplog.text
     assert sum(piece.volume for piece in found) == pytest.approx(mesh.volume, rel=0.15)
+
+
+@pytest.mark.parametrize("failure", ["signal", "missing pieces"])
+def test_a_cut_that_fails_or_misses_a_piece_is_made_again_with_remeshing(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, failure: str
+) -> None:
+    modes = []
+
+    def cut(mesh: trimesh.Trimesh, settings: dict[str, float | str], **options: float) -> list[np.ndarray]:
+        modes.append(settings.get("preprocess_mode", "auto"))
+        if modes[-1] == "off" and failure == "signal":
+            raise ValueError("ended by a signal")
+        corners = np.asarray(mesh.vertices)
+        halves = [corners[side * corners[:, 2] > -0.016] for side in (1, -1)]
+        return halves[:1] if modes[-1] == "off" else halves
+
+    monkeypatch.setattr(pieces, "decompose", cut)
+    assert len(convex_pieces(dumbbell(), FAST)) == 2
+    assert modes == ["off", "auto"]
+
+
+def test_the_pieces_of_a_simplified_mesh_add_little_volume(cache: Path) -> None:
+    found = convex_pieces(dumbbell(), PieceSettings(iterations=15, resolution=300))
+    covered = trimesh.boolean.union(list(found), engine="manifold").volume
+    assert covered == pytest.approx(dumbbell().volume, rel=0.04)
+
+
+def test_the_distance_outside_of_hulls_is_that_of_the_worst_point() -> None:
+    left, right = np.asarray(creation.box((0.02, 0.02, 0.02)).vertices), np.asarray(moved_box(0.03).vertices)
+    points = np.array([(0.0, 0, 0), (0.03, 0, 0), (0.014, 0, 0)])
+    assert distance_outside(points[:2], [left, right]) == 0
+    assert distance_outside(points, [left, right]) == pytest.approx(0.004)
+    assert distance_outside(points, [left, left[:3], np.zeros((5, 3))]) == pytest.approx(0.02)
+    assert distance_outside(points, []) == np.inf
+
+
+def moved_box(x: float) -> trimesh.Trimesh:
+    return creation.box((0.02, 0.02, 0.02), transform=moved(x))
+
+
+def test_planes_of_a_hull_are_those_of_trimesh_bit_by_bit() -> None:
+    rng = np.random.default_rng(0)
+    clouds = [rng.normal(size=(40, 3)), np.asarray(creation.cylinder(0.01, 0.02, sections=32).vertices)]
+    for points in clouds:
+        normals, places = _planes(points)
+        hull = trimesh.convex.convex_hull(points)
+        np.testing.assert_array_equal(normals, hull.face_normals)
+        np.testing.assert_array_equal(places, hull.triangles[:, 0])
+
+
+def test_simplification_states_the_deviation_it_measured() -> None:
+    mesh = dumbbell()
+    coarse = simplified(mesh, 0.0004)
+    assert coarse is not None
+    assert 0 < coarse.metadata["deviation"] == hausdorff_distance(mesh, coarse) <= 0.0004
 
 
 def test_simplification_keeps_walls_and_states_when_it_cannot() -> None:
