@@ -5,7 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.geometry import NEAR, Floats, invert_transform, project_points, require_shape, transform_points
+from perception.geometry import (
+    NEAR,
+    Floats,
+    invert_transform,
+    project_points,
+    require_camera,
+    require_rigid,
+    require_shape,
+    transform_points,
+)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -16,8 +25,8 @@ class Frame:
         grey: (H, W) uint8 grey image, registered to the depth.
         depth: (H, W) float32 depth along the optical axis [m]; 0 where there is no measurement. Values that are not
             finite and positive become 0.
-        K: (3, 3) camera matrix [px], pixel centres at integers.
-        T_world_cam: (4, 4) camera pose, OpenCV axes.
+        K: (3, 3) camera matrix [px] of this image, pixel centres at integers.
+        T_world_cam: (4, 4) camera pose, OpenCV axes; a rotation and a translation.
     """
 
     grey: NDArray[np.uint8]
@@ -34,12 +43,8 @@ class Frame:
             raise ValueError(f"grey must be uint8, got {self.grey.dtype}")
         if not np.issubdtype(self.depth.dtype, np.floating):
             raise ValueError(f"depth must be floating point metres, got {self.depth.dtype} (millimetres in integers?)")
-        require_shape("K", self.K, (3, 3))
-        require_shape("T_world_cam", self.T_world_cam, (4, 4))
-        if not (np.all(np.isfinite(self.K)) and self.K[0, 0] > 0 and self.K[1, 1] > 0):
-            raise ValueError(f"K must be finite with positive focal lengths, got {self.K.tolist()}")
-        if not np.all(np.isfinite(self.T_world_cam)):
-            raise ValueError("T_world_cam must be finite")
+        require_camera(self.K, self.depth.shape[1], self.depth.shape[0])
+        require_rigid("T_world_cam", self.T_world_cam)
         clean = np.where(np.isfinite(self.depth) & (self.depth > 0), self.depth, 0).astype(np.float32)
         object.__setattr__(self, "depth", clean)
 
@@ -54,7 +59,7 @@ class Workspace:
     """Pose and inner size of the bin. The origin of the bin frame is the centre of the inner floor, z up.
 
     Attributes:
-        T_world_bin: (4, 4) pose of the bin.
+        T_world_bin: (4, 4) pose of the bin; a rotation and a translation.
         inner_size: (3,) inner length, width and height of the bin along its x, y and z [m].
     """
 
@@ -62,7 +67,7 @@ class Workspace:
     inner_size: Floats
 
     def __post_init__(self) -> None:
-        require_shape("T_world_bin", self.T_world_bin, (4, 4))
+        require_rigid("T_world_bin", self.T_world_bin)
         require_shape("inner_size", self.inner_size, (3,))
         if not np.all(self.inner_size > 0):
             raise ValueError(f"inner_size must be positive, got {self.inner_size.tolist()}")

@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float64]
 NEAR = 1e-3  # smallest depth of a point that is projected or drawn [m]
+_FIELDS_OF_VIEW = 0.5, 170.0  # angles that an image's width or height can show [deg]
+_RIGID = 1e-3  # largest deviation of R^T R from the identity: a pose written with three decimals is still rigid
 
 
 def require_shape(name: str, array: NDArray[np.generic], shape: tuple[int | None, ...]) -> None:
@@ -18,6 +20,31 @@ def require_shape(name: str, array: NDArray[np.generic], shape: tuple[int | None
     if not fits:
         wanted = ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "")
         raise ValueError(f"{name} must be ({wanted}), got {array.shape}")
+
+
+def require_rigid(name: str, T_a_b: Floats) -> None:
+    """Raise ``ValueError`` unless a (4, 4) transform is finite, and a rotation and a translation.
+
+    A calibration that solved for all twelve values freely, a scale, or axes of the other handedness are not rigid.
+    """
+    require_shape(name, T_a_b, (4, 4))
+    if not np.all(np.isfinite(T_a_b)):
+        raise ValueError(f"{name} must be finite")
+    R = np.asarray(T_a_b, np.float64)[:3, :3]
+    if not np.allclose(T_a_b[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-9):
+        advice = " (is it transposed?)" if not np.allclose(T_a_b[3, :3], 0.0) else ""
+        raise ValueError(f"the last row of {name} must be [0, 0, 0, 1], got {np.asarray(T_a_b)[3].tolist()}{advice}")
+    deviation = float(np.abs(R.T @ R - np.eye(3)).max())
+    if deviation > _RIGID:
+        raise ValueError(
+            f"{name} must be rigid, a rotation and a translation, but R^T R differs from the identity by "
+            f"{deviation:.3g}: remove its scale and shear"
+        )
+    if np.linalg.det(R) < 0:
+        raise ValueError(
+            f"{name} must be right-handed, but its rotation has the determinant -1: it mirrors. Turn an axis into the "
+            "cross product of the other two, or ask for the right-handed axes of the source"
+        )
 
 
 def make_transform(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Floats:
@@ -109,6 +136,35 @@ def camera_matrix(focal_px: float, width: int, height: int) -> Floats:
         height: Height of the image [px].
     """
     return np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
+
+
+def require_camera(K: Floats, width: int, height: int) -> None:
+    """Raise ``ValueError`` unless a (3, 3) camera matrix [px] can be that of an image of this size.
+
+    The principal point may lie outside a crop of an image, but by no more than the crop's size. Fields of view from
+    0.5 to 170 degrees are accepted: cameras of bins have 10 to 120, and a crop sees a part of that.
+    """
+    require_shape("K", K, (3, 3))
+    if not (np.all(np.isfinite(K)) and K[0, 0] > 0 and K[1, 1] > 0):
+        raise ValueError(f"K must be finite with positive focal lengths, got {K.tolist()}")
+    if not np.allclose([*K[2], K[1, 0]], [0.0, 0.0, 1.0, 0.0], rtol=0, atol=1e-9):
+        raise ValueError(f"K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}: is it transposed?")
+    for name, unit, size, focal, centre in (
+        ("fx", "width", width, K[0, 0], K[0, 2]),
+        ("fy", "height", height, K[1, 1], K[1, 2]),
+    ):
+        view = 2 * float(np.degrees(np.arctan2(size / 2, focal)))
+        if not _FIELDS_OF_VIEW[0] <= view <= _FIELDS_OF_VIEW[1]:
+            raise ValueError(
+                f"K does not fit the image: with {name} = {focal:g} px, a {unit} of {size} px is a field of view of "
+                f"{view:.3g} degrees, which must be between {_FIELDS_OF_VIEW[0]:g} and {_FIELDS_OF_VIEW[1]:g}; "
+                "focal lengths are in pixels of this image"
+            )
+        if not -size <= centre <= 2 * size:
+            raise ValueError(
+                f"K does not fit the image: its principal point ({K[0, 2]:g}, {K[1, 2]:g}) px lies outside the image "
+                f"of {width} x {height} px by more than its size; K must be that of this resolution and crop"
+            )
 
 
 def project_points(K: Floats, points_cam: Floats) -> Floats:

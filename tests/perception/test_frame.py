@@ -98,7 +98,45 @@ def test_any_depth_is_finite_and_not_negative_afterwards(values: list[float], dt
             {"K": np.diag([100.0, 100.0, np.nan])},
             "K must be finite with positive focal lengths, got [[100.0, 0.0, 0.0], [0.0, 100.0, 0.0], [0.0, 0.0, nan]]",
         ),
+        (
+            {"K": camera_matrix(100.0, 6, 4).T},
+            "K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]], got "
+            "[[100.0, 0.0, 0.0], [0.0, 100.0, 0.0], [2.5, 1.5, 1.0]]: is it transposed?",
+        ),
+        (
+            {"K": camera_matrix(0.1, 6, 4)},
+            "K does not fit the image: with fx = 0.1 px, a width of 6 px is a field of view of 176 degrees, "
+            "which must be between 0.5 and 170; focal lengths are in pixels of this image",
+        ),
+        (
+            {"K": camera_matrix(600.0, 6, 4)},
+            "K does not fit the image: with fy = 600 px, a height of 4 px is a field of view of 0.382 degrees, "
+            "which must be between 0.5 and 170; focal lengths are in pixels of this image",
+        ),
+        (
+            {"K": camera_matrix(100.0, 26, 4)},
+            "K does not fit the image: its principal point (12.5, 1.5) px lies outside the image of 6 x 4 px by more "
+            "than its size; K must be that of this resolution and crop",
+        ),
         ({"T_world_cam": np.diag([1.0, 1.0, 1.0, np.nan])}, "T_world_cam must be finite"),
+        (
+            {"T_world_cam": np.diag([1.0, 1.0, -1.0, 1.0])},
+            "T_world_cam must be right-handed, but its rotation has the determinant -1: it mirrors. Turn an axis into "
+            "the cross product of the other two, or ask for the right-handed axes of the source",
+        ),
+        (
+            {"T_world_cam": np.diag([1.0, 1.002, 1.0, 1.0])},
+            "T_world_cam must be rigid, a rotation and a translation, but R^T R differs from the identity by 0.004: "
+            "remove its scale and shear",
+        ),
+        (
+            {"T_world_cam": make_transform(translation=(0.1, 0.2, 0.9)).T},
+            "the last row of T_world_cam must be [0, 0, 0, 1], got [0.1, 0.2, 0.9, 1.0] (is it transposed?)",
+        ),
+        (
+            {"T_world_cam": np.diag([1.0, 1.0, 1.0, 0.001])},
+            "the last row of T_world_cam must be [0, 0, 0, 1], got [0.0, 0.0, 0.0, 0.001]",
+        ),
     ],
 )
 def test_a_frame_that_makes_no_sense_is_refused(changes: dict[str, Any], text: str) -> None:
@@ -113,6 +151,11 @@ def test_a_frame_that_makes_no_sense_is_refused(changes: dict[str, Any], text: s
     ("changes", "text"),
     [
         ({"T_world_bin": np.eye(3)}, "T_world_bin must be (4, 4), got (3, 3)"),
+        (
+            {"T_world_bin": np.diag([-1.0, 1.0, 1.0, 1.0])},
+            "T_world_bin must be right-handed, but its rotation has the determinant -1: it mirrors. Turn an axis into "
+            "the cross product of the other two, or ask for the right-handed axes of the source",
+        ),
         ({"inner_size": np.ones(2)}, "inner_size must be (3,), got (2,)"),
         ({"inner_size": np.array([0.3, 0.0, 0.1])}, "inner_size must be positive, got [0.3, 0.0, 0.1]"),
         ({"inner_size": np.array([0.3, np.nan, 0.1])}, "inner_size must be positive, got [0.3, nan, 0.1]"),
@@ -190,3 +233,10 @@ def test_the_bin_takes_its_points_along(seed: int) -> None:
     by_hand = [abs(x) <= 0.18 and abs(y) <= 0.13 and 0 <= z <= 0.12 for x, y, z in points_bin]
     assert cell.contains(points_world).tolist() == by_hand
     np.testing.assert_allclose(invert_transform(T_world_bin) @ T_world_bin, np.eye(4), atol=1e-12)
+
+
+def test_a_rounded_pose_and_a_crop_are_accepted() -> None:
+    R = rotation_about((1.0, 0.3, 0.0), 2.7)
+    frame(T_world_cam=make_transform(R.round(3), (0.0, 0.0, 0.9)))
+    frame(K=camera_matrix(100.0, 6, 4) + np.array([[0, 0, 9.0], [0, 0, -5.0], [0, 0, 0]]))  # beside the image
+    Workspace(T_world_bin=make_transform(R.round(3)), inner_size=INNER)
