@@ -80,9 +80,7 @@ def test_symmetry_choices(save: Callable[..., Path]) -> None:
 def test_a_catalogue_part_as_a_file_is_the_same_part(
     save: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        "binpick_env.parts.part.convex_pieces", lambda mesh: (mesh.convex_hull,)
-    )  # its pieces take a second
+    monkeypatch.setattr("binpick_env.parts.part.convex_pieces", lambda mesh: (mesh.convex_hull,))  # those take a second
     drawn = load_part("part_c")
     part = load_part(save(drawn.model.mesh, "part_c.ply"), density=drawn.density)
     assert part.model.d_max == pytest.approx(drawn.model.d_max, rel=1e-5)
