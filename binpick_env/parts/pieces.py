@@ -127,8 +127,9 @@ def _cut(mesh: trimesh.Trimesh, settings: PieceSettings) -> list[Floats]:
 def _cut_as_it_is(mesh: trimesh.Trimesh, arguments: Mapping[str, float | str]) -> list[Floats]:
     """Cut a closed mesh without CoACD's remeshing; no pieces if that fails.
 
-    Simplified meshes have a few faces that cross each other. CoACD therefore remeshes them from voxels, to many times
-    as many faces and to 5 % more volume (measured on an organic part), although its cuts mostly succeed without that.
+    CoACD finds that simplified meshes are no manifolds, and remeshes them from voxels. On an organic part that took
+    seven times as long, and the pieces had 5.8 % more volume outside of the part in place of 2.6 %. Without it, thin
+    slits may remain between the pieces inside of the part, 1.3 % of its volume there.
     """
     try:
         return decompose(mesh, {**arguments, "preprocess_mode": "off"}, timeout=_TIMEOUT)
