@@ -1,0 +1,9 @@
+from .calibration import Calibration as Calibration
+from .calibration_files import read_calibration as read_calibration
+from .frame_edits import crop_frame as crop_frame
+from .frame_edits import turn_frame as turn_frame
+from .options import ReadOptions as ReadOptions
+from .options import ReadReport as ReadReport
+from .reading import read_frame as read_frame
+from .reading import read_frame_with_report as read_frame_with_report
+from .writing import write_frame as write_frame

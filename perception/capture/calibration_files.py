@@ -1,0 +1,146 @@
+"""Calibrations from files: RealSense, Open3D, Azure Kinect, BOP, OpenCV, ROS, and those written beside frames."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from perception.capture.azure import azure_calibration, is_azure
+from perception.capture.calibration import Calibration, pose_from_world_to_camera
+from perception.capture.yaml_subset import parse_yaml
+
+MODELS = ("plumb_bob", "rational_polynomial", "brown_conrady", "opencv", "none", "")  # those of OpenCV's formula
+FORMATS = (
+    "RealSense (fx, fy, ppx, ppy), Open3D (intrinsic_matrix), Azure Kinect (CalibrationInformation), "
+    "BOP (cam_K or fx, fy, cx, cy), OpenCV FileStorage (camera_matrix), ROS CameraInfo (K or k)"
+)
+
+
+def read_calibration(
+    path: str | Path, *, image_id: int | None = None, size: tuple[int, int] | None = None
+) -> Calibration:
+    """Read the calibration of a camera from a JSON or YAML file.
+
+    Args:
+        path: File of RealSense, Open3D, the Azure Kinect, BOP (``camera.json``, ``scene_camera.json``), OpenCV or ROS.
+        image_id: Number of the image in a file that holds several (BOP's ``scene_camera.json``).
+        size: Width and height of the depth image [px]; the Azure Kinect's mode follows from it.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The file is none of these formats, or its lens model cannot be removed.
+    """
+    path = Path(path)
+    text = path.read_text()
+    try:
+        content = json.loads(text) if path.suffix.lower() == ".json" else parse_yaml(text)
+    except ValueError as error:
+        raise ValueError(f"{path.name} must be a calibration in JSON or YAML, but cannot be parsed: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path.name} must hold named values, got a {type(content).__name__}")
+    if is_azure(content):
+        return azure_calibration(content, size)
+    return calibration_of(_chosen_entry(content, path.name, image_id), path.name)
+
+
+def _chosen_entry(content: dict[str, Any], name: str, image_id: int | None) -> dict[str, Any]:
+    """Return the entry of one image or stream of a file that holds several, otherwise the whole content."""
+    images = {int(key): value for key, value in content.items() if key.isdigit() and isinstance(value, dict)}
+    if images:
+        if len(images) == 1 and image_id is None:
+            return next(iter(images.values()))
+        if image_id not in images:
+            raise ValueError(
+                f"image_id must be one of the {len(images)} images of {name}, {min(images)} to {max(images)}, "
+                f"got {image_id}"
+            )
+        return images[image_id]
+    for stream in ("depth", "depth_intrinsics", "intrinsics"):
+        if isinstance(content.get(stream), dict):
+            return {**content, **content[stream]}
+    return content
+
+
+def calibration_of(values: Mapping[str, Any], name: str = "the calibration") -> Calibration:
+    """Return the calibration that a file's values describe.
+
+    Args:
+        values: Named values of one camera in any of the formats but the Azure Kinect's.
+        name: Name of the file, for messages.
+
+    Raises:
+        ValueError: No camera matrix was found, or the lens model is unknown.
+    """
+    K = _camera_matrix(values)
+    if K is None:
+        raise ValueError(f"{name} must hold a camera matrix as one of {FORMATS}, got the keys {sorted(values)}")
+    T_world_cam = values.get("T_world_cam")
+    if T_world_cam is None and "cam_R_w2c" in values and "cam_t_w2c" in values:  # BOP, millimetres
+        T_world_cam = pose_from_world_to_camera(values["cam_R_w2c"], np.asarray(values["cam_t_w2c"]) / 1000)
+    return Calibration(
+        K=K, distortion=_distortion(values, name), size=_size(values), depth_scale=_depth_scale(values),
+        T_world_cam=T_world_cam,
+    )  # fmt: skip
+
+
+def _numbers(value: Any) -> Any:
+    """Return a matrix that OpenCV or ROS wrote as its numbers, in a row."""
+    data = value.get("data") if isinstance(value, Mapping) else value
+    return np.asarray(data, np.float64).reshape(-1)
+
+
+def _camera_matrix(values: Mapping[str, Any]) -> Any:
+    for key in ("cam_K", "camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k"):
+        if values.get(key) is not None and np.size(_numbers(values[key])) == 9:
+            return _numbers(values[key]).reshape(3, 3)
+    if values.get("intrinsic_matrix") is not None and np.size(_numbers(values["intrinsic_matrix"])) == 9:
+        return _numbers(values["intrinsic_matrix"]).reshape(3, 3).T  # Open3D writes columns
+    cx, cy = values.get("ppx", values.get("cx")), values.get("ppy", values.get("cy"))
+    if None in (values.get("fx"), values.get("fy"), cx, cy):
+        return None
+    return [[values["fx"], 0, cx], [0, values["fy"], cy], [0, 0, 1]]
+
+
+def _distortion(values: Mapping[str, Any], name: str) -> Any:
+    keys = ("distortion", "coeffs", "distortion_coefficients", "distCoeffs", "dist_coeffs", "Distortion_Coefficients")
+    found = next((values[key] for key in (*keys, "D", "d") if values.get(key) is not None), None)
+    if found is None and "k1" in values:
+        found = [values.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
+    coefficients = np.zeros(0) if found is None else _numbers(found)
+    model = str(values.get("distortion_model", values.get("model", ""))).lower().rsplit(".", 1)[-1]
+    model = model.removeprefix("distortion_").replace(" ", "_")
+    if model not in MODELS and np.any(coefficients != 0):
+        raise ValueError(
+            f"{name} must have a lens model of OpenCV's formula ({', '.join(filter(None, MODELS))}), got {model!r} "
+            f"with coefficients {coefficients.tolist()}: let the camera's driver rectify the images, or calibrate with "
+            "OpenCV"
+        )
+    return coefficients
+
+
+def _size(values: Mapping[str, Any]) -> tuple[int, int] | None:
+    for names in (("width", "height"), ("image_width", "image_height"), ("image_Width", "image_Height")):
+        if all(values.get(key) is not None for key in names):
+            return int(values[names[0]]), int(values[names[1]])
+    return None
+
+
+def _depth_scale(values: Mapping[str, Any]) -> float | None:
+    """Return the length of a unit of depth [m].
+
+    ``depth_scale`` is the reciprocal in Open3D's files, and millimetres in BOP's.
+    """
+    if values.get("metres_per_unit") is not None:
+        return float(values["metres_per_unit"])
+    if values.get("depth_units") is not None:  # librealsense
+        return float(values["depth_units"])
+    if values.get("depth_scale") is None:
+        return None
+    scale = float(values["depth_scale"])
+    if "intrinsic_matrix" in values:
+        return 1 / scale
+    if "ppx" in values:  # RealSense's SDK states metres
+        return scale
+    return scale / 1000

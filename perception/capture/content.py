@@ -1,0 +1,96 @@
+"""What the file of a frame holds: a depth image or a cloud, and whatever comes with it."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.capture.calibration import Calibration
+from perception.capture.calibration_files import calibration_of
+from perception.capture.cloud import Cloud
+from perception.capture.images import grey_image, read_raw
+from perception.capture.pcd import read_pcd
+
+POINT_KEYS = ("points", "xyz", "points_cam", "cloud")  # names of an organised cloud in an NPZ file
+GREY_KEYS = ("grey", "gray", "image", "color", "colour", "rgb")  # names of a grey or colour image in an NPZ file
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Content:
+    """Content of the file of a frame: either a depth image or a cloud.
+
+    Attributes:
+        depth: (H, W) depth as stored; None if the file holds a cloud.
+        cloud: Points; None if the file holds a depth image.
+        grey: (H, W) uint8 grey image; None if there is none.
+        calibration: Calibration that the file holds; None if it holds none.
+    """
+
+    depth: NDArray[np.generic] | None = None
+    cloud: Cloud | None = None
+    grey: NDArray[np.uint8] | None = None
+    calibration: Calibration | None = None
+
+
+def load_content(path: Path) -> Content:
+    """Read a file of any of the formats.
+
+    Args:
+        path: PNG, TIFF, EXR, NPY, NPZ, PCD, PLY, or the JSON file that :func:`write_frame` writes.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The content is not what its suffix says.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".pcd":
+        return Content(cloud=read_pcd(path))
+    if suffix == ".npz":
+        return _npz_content(path)
+    if suffix == ".json":
+        return _json_content(path)
+    raw = read_raw(path)
+    if raw.ndim == 3 and raw.shape[2] == 3 and raw.dtype.kind == "f":
+        # Three floating-point channels are coordinates. OpenCV, which reads images, gives the first channel last.
+        points = raw.astype(np.float64) if suffix == ".npy" else raw[:, :, ::-1].astype(np.float64)
+        return Content(cloud=Cloud(points=points))
+    return Content(depth=raw)
+
+
+def _npz_content(path: Path) -> Content:
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = {key: archive[key] for key in archive.files}
+    calibration = None
+    if "K" in arrays:
+        named: dict[str, Any] = {key: arrays[key] for key in ("K", "distortion", "T_world_cam") if key in arrays}
+        calibration = Calibration(**named)
+    found = next((arrays[key] for key in GREY_KEYS if key in arrays), None)
+    if found is not None and found.ndim == 3:
+        found = found[:, :, :3][:, :, ::-1]  # arrays in Python are red first, images of OpenCV blue first
+    grey = None if found is None else grey_image(found, f"the image in {path.name}")
+    if "depth" in arrays:
+        return Content(depth=arrays["depth"], grey=grey, calibration=calibration)
+    points = next((arrays[key] for key in POINT_KEYS if key in arrays), None)
+    if points is None:
+        raise ValueError(
+            f"{path.name} must hold 'depth' (H, W), or points (H, W, 3) as one of {POINT_KEYS}, got {sorted(arrays)}"
+        )
+    points = points.astype(np.float64)
+    return Content(cloud=Cloud(points=points[None] if points.ndim == 2 else points), grey=grey, calibration=calibration)
+
+
+def _json_content(path: Path) -> Content:
+    facts = json.loads(path.read_text())
+    if not (isinstance(facts, dict) and {"depth", "grey", "K"} <= set(facts)):
+        raise ValueError(
+            f"{path.name} must be a frame that write_frame wrote, with depth, grey and K: if it is a calibration, read "
+            "the depth image and pass this file as calibration"
+        )
+    return Content(
+        depth=read_raw(path.with_name(facts["depth"])),
+        grey=grey_image(read_raw(path.with_name(facts["grey"]))),
+        calibration=calibration_of(facts, path.name),
+    )

@@ -1,0 +1,67 @@
+"""How a frame is read, and what the reading found."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Axes = Literal["opencv", "opengl"]
+GreySource = Literal["image", "cloud", "shaded depth"]
+Source = Literal["depth image", "organised cloud", "projected cloud"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadOptions:
+    """What the files of a frame do not say themselves."""
+
+    # Length of one unit of depth or of a cloud's coordinates [m]. None: as the calibration says, otherwise millimetres
+    # in integer images and metres in floating-point images and clouds.
+    scale: float | None = None
+    # Stored depths that mean "no measurement", besides NaN, infinities and negative values. None: 0, and 65535 in
+    # integers.
+    missing: tuple[float, ...] | None = None
+    fit: Literal["same", "scale"] = (
+        "same"  # how the image's size relates to the calibrated one: equal, or scaled as a whole
+    )
+    image_id: int | None = (
+        None  # number of the image in BOP's scene_camera.json; None: the number that the file is named by
+    )
+    axes: Axes = "opencv"  # axes of a cloud: OpenCV's (y down, z forward) or OpenGL's (y up, z backward)
+    project: bool = False  # project an organised cloud into the stated camera, as unorganised ones are
+    crop: tuple[int, int, int, int] | None = None  # part of the image to keep: u0, v0, width, height [px]
+    quarter_turns: int = 0  # anticlockwise quarter turns of the image, after the crop
+
+    def __post_init__(self) -> None:
+        if self.scale is not None and not 0 < self.scale < np.inf:
+            raise ValueError(f"scale must be a positive length [m] per unit, got {self.scale}")
+        if self.fit not in ("same", "scale"):
+            raise ValueError(f"fit must be 'same' or 'scale', got {self.fit!r}")
+        if self.axes not in ("opencv", "opengl"):
+            raise ValueError(f"axes must be 'opencv' or 'opengl', got {self.axes!r}")
+        if self.crop is not None and len(self.crop) != 4:
+            raise ValueError(f"crop must be (u0, v0, width, height) in pixels, got {self.crop}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadReport:
+    """What the reading of a frame found and did.
+
+    Attributes:
+        source: Kind of file. A projected cloud has no grid of pixels of its own: holes and edges are those of its
+            projection.
+        grey: Where the grey image is from: an image file, the colours of the cloud, or the shaded depth.
+        K_recovered: Whether the camera matrix was recovered from the cloud.
+        K_residual: Root mean square distance between the pixels of an organised cloud and the projections of its points
+            [px]; None for other sources.
+        undistorted: Whether lens distortion was removed.
+        measured_fraction: Share of the pixels that have a depth.
+        unseen_points: Points of a projected cloud that are hidden by others or outside the image.
+    """
+
+    source: Source
+    grey: GreySource
+    K_recovered: bool = False
+    K_residual: float | None = None
+    undistorted: bool = False
+    measured_fraction: float = 0.0
+    unseen_points: int = 0
