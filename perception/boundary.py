@@ -1,6 +1,6 @@
 """Boundary points: Canny edges of the grey image, mapped to the organised cloud (section III of the paper)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -21,12 +21,14 @@ class BoundaryCloud:
             no neighbours.
         linearity: (N,) float64 straightness of the edge: 1 on a straight edge, near 0 at corners and in clutter.
         pixels: (N, 2) int64 pixels (u, v) that the depths were taken from, no two of them equal.
+        outside: Number of edge points in the image of the bin that lie outside its box and were removed.
     """
 
     points_cam: Floats
     tangents_cam: Floats
     linearity: Floats
     pixels: NDArray[np.int64]
+    outside: int = 0
 
     def __post_init__(self) -> None:
         require_shape("points_cam", self.points_cam, (None, 3))
@@ -109,7 +111,7 @@ def extract_boundary(frame: Frame, workspace: Workspace, settings: BoundarySetti
     pixels = np.column_stack([flat % size[0], flat // size[0]])
     points_world = transform_points(frame.T_world_cam, organised_points(frame, pixels))
     inside = workspace.contains(points_world, margin=settings.margin, headroom=settings.headroom)
-    return _cloud(frame, pixels[inside], settings)
+    return replace(_cloud(frame, pixels[inside], settings), outside=int(np.count_nonzero(~inside)))
 
 
 def organised_points(frame: Frame, pixels: NDArray[np.int64]) -> Floats:

@@ -7,10 +7,12 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from perception.boundary import BoundaryCloud, extract_boundary
+from perception.diagnosis import FrameReport, PoseCounts, diagnose, log_causes
 from perception.frame import Frame, Workspace
 from perception.instance import Instance
 from perception.part import PartModel
 from perception.pose.estimator import PoseEstimator
+from perception.pose.group_search import GroupSearch
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.explanation import explain_segments
 from perception.segmentation.surface import coarse_surface
@@ -33,6 +35,7 @@ class Perception:
         instances: Groups of boundary points after the poses have explained points, best first.
         ms: Wall clock of each of `STAGES` [ms].
         estimates: Best pose of each of the ``groups``, verified or not; None for a group without a pose.
+        report: Facts of the frame and likely causes of lost parts; its time is no part of ``ms``.
     """
 
     boundary: BoundaryCloud
@@ -42,6 +45,7 @@ class Perception:
     instances: list[Instance]
     ms: dict[str, float]
     estimates: list[PoseEstimate | None] = field(default_factory=list)
+    report: FrameReport | None = None
 
 
 class Pipeline:
@@ -98,13 +102,27 @@ def perceive_by(
     clock.append(time.perf_counter())
     segments = segment(boundary)
     clock.append(time.perf_counter())
-    estimates = estimator.estimate_groups(boundary, segments, frame)
+    searches = estimator.search_groups(boundary, segments, frame)
+    missed = _rejected_by_bin(estimator, searches, frame, workspace)
+    estimates = estimator.select(searches)
+    estimates += [None for _ in segments[len(estimates) :]]  # without boundary points nothing is searched
     leftovers, more = estimator.estimate_leftovers(boundary, segments, estimates, frame)
     estimates = [*estimates, *more]
     poses = estimator.verified(estimates)
     clock.append(time.perf_counter())
     instances = explain_segments(boundary, segments, estimates, estimator.surface)
     clock.append(time.perf_counter())
+    sure = sum(each is not None and each.score >= estimator.config.min_score for each in estimates)
+    counts = PoseCounts(
+        groups=len(estimates),
+        found=len(poses),
+        by_floor=missed.count("floor"),
+        by_walls=missed.count("walls"),
+        by_neighbours=sure - len(poses),
+        by_score=sum(each is not None for each in estimates) - sure,
+    )
+    report = diagnose(frame, workspace, estimator.part, boundary, counts)
+    log_causes(report)
     ms = {name: 1000 * (b - a) for name, (a, b) in zip(STAGES, pairwise(clock), strict=True)}
     return Perception(
         boundary=boundary,
@@ -114,4 +132,17 @@ def perceive_by(
         instances=instances,
         ms=ms,
         estimates=estimates,
+        report=report,
     )
+
+
+def _rejected_by_bin(
+    estimator: PoseEstimator, searches: list[GroupSearch], frame: Frame, workspace: Workspace
+) -> list[str]:
+    """Return what the best hypotheses that the bin rejected reach through, ``floor`` or ``walls``, where they win."""
+    rejected = []
+    for search in searches:
+        if search.missed is not None:
+            floor, walls = estimator.body.protrusions(frame.T_world_cam @ search.missed.T_cam_part, workspace)
+            rejected.append("floor" if floor >= walls else "walls")
+    return rejected

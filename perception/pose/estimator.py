@@ -122,6 +122,28 @@ class PoseEstimator:
         """
         if len(boundary) == 0:
             return [None for _ in instances]
+        return self.select(self.search_groups(boundary, instances, frame, beside))
+
+    def search_groups(
+        self,
+        boundary: BoundaryCloud,
+        instances: Sequence[Instance],
+        frame: Frame,
+        beside: Sequence[PoseEstimate] = (),
+    ) -> list[GroupSearch]:
+        """Return the hypotheses about each group, the first half of :meth:`estimate_groups`; none without points.
+
+        Args:
+            boundary: All boundary points of the frame.
+            instances: Groups of these points, each of one part.
+            frame: Depth image and camera that the points are from.
+            beside: Poses of other parts, which no pose may collide with.
+
+        Raises:
+            ValueError: There are groups, but the frame has no depth.
+        """
+        if len(boundary) == 0:
+            return []
         index = self._index(boundary)
 
         def free(T_cam_part: Floats) -> bool:
@@ -136,7 +158,10 @@ class PoseEstimator:
             found.best()  # does the work here, on a thread of its own; the selection asks again
             return found
 
-        searches = in_threads(search, range(len(instances)))
+        return in_threads(search, range(len(instances)))
+
+    def select(self, searches: Sequence[GroupSearch]) -> list[PoseEstimate | None]:
+        """Return the selected pose of each group that was searched, the second half of :meth:`estimate_groups`."""
         return select_poses(searches, self.clash, self.config.min_score)
 
     def estimate_leftovers(

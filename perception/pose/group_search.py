@@ -36,6 +36,7 @@ class GroupSearch:
         self._hypotheses: list[ScoredHypothesis] = []
         self._score_drops: dict[ScoredHypothesis, float] = {}  # of the best ones so far: each takes several verdicts
         self._ruled_out: list[Condition] = []
+        self._best_impossible: ScoredHypothesis | None = None
 
     def add(self, poses: Floats) -> None:
         """Refine (C, 4, 4) poses coarsely in turn until one is good enough, and keep those that are possible."""
@@ -47,6 +48,19 @@ class GroupSearch:
             found = self._scorer.refine_coarsely(T_cam_part)
             if self._possible(found.T_cam_part):
                 self._hypotheses.append(found)
+            elif self._best_impossible is None or found.logit > self._best_impossible.logit:
+                self._best_impossible = found
+
+    @property
+    def missed(self) -> ScoredHypothesis | None:
+        """The best impossible hypothesis, if none of those that are left is as good; only coarsely refined.
+
+        It tells that the condition, such as the pose of the bin, may be wrong.
+        """
+        missed = self._best_impossible
+        if missed is None or any(found.logit >= missed.logit for found in self._hypotheses):
+            return None
+        return missed
 
     def best(self) -> PoseEstimate | None:
         """Return the best pose that is not ruled out, None if there is none left.

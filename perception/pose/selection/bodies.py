@@ -83,10 +83,14 @@ class BodyModel:
 
     def protrusion(self, T_world_part: Floats, workspace: Workspace) -> float:
         """Return how far a posed part reaches through the floor or, below the rim, a wall [m]; 0 if it does not."""
+        return max(*self.protrusions(T_world_part, workspace), 0.0)
+
+    def protrusions(self, T_world_part: Floats, workspace: Workspace) -> tuple[float, float]:
+        """Return how far a posed part reaches through the floor, and through a wall [m]; negative within the bin."""
         corners_bin = workspace.to_bin(transform_points(T_world_part, self.corners))
         beyond = np.abs(corners_bin[:, :2]).max(axis=0, initial=0.0, where=corners_bin[:, 2:] < workspace.inner_size[2])
         walls = float((beyond - workspace.inner_size[:2] / 2).max())
-        return max(-float(corners_bin[:, 2].min()), walls, 0.0)
+        return -float(corners_bin[:, 2].min()), walls
 
 
 def body_model(part: PartModel, surface: SurfaceModel) -> BodyModel:

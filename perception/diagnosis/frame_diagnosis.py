@@ -1,0 +1,175 @@
+"""The diagnosis of a frame: facts, and likely causes of lost parts."""
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from perception.boundary import BoundaryCloud, BoundarySettings, extract_boundary
+from perception.diagnosis.geometry_causes import Setup, geometry_causes
+from perception.diagnosis.report import Cause, FrameReport, PoseCounts
+from perception.diagnosis.samples import DepthSamples
+from perception.frame import Frame, Workspace, bin_region
+from perception.geometry import Floats
+from perception.part import PartModel
+
+FEWEST_PIXELS = 70  # length of a part in the image below which poses get worse [px]
+SPLITTING_PIXELS = 45  # length below which the segmentation splits parts [px]
+_REGION_SAMPLES = 16_384  # number of pixels of the bin's region that grey levels and the median depth are taken from
+_DARK, _BRIGHT = 40, 254  # grey levels: Canny's strong threshold, and a saturated pixel
+_DARK_QUANTILE = 0.99  # quantile of the grey levels that reaches the threshold where there are edges
+_SATURATED = 0.25  # share of saturated pixels from which contours are lost
+_FLOOR_SHARE = 0.3  # share of the groups whose best hypotheses the floor rejected from which its height is suspected
+_BELOW_FLOOR, _BELOW_FLOOR_SHARE = 0.005, 0.05  # least depth below the floor, in metres and as a share of d_max
+_FLOOR_GROUPS = 2  # number of such groups from which it is
+
+
+def diagnose(
+    frame: Frame,
+    workspace: Workspace,
+    part: PartModel,
+    boundary: BoundaryCloud | None = None,
+    poses: PoseCounts | None = None,
+) -> FrameReport:
+    """Return the facts of a frame and the likely causes of lost parts; none for a good frame.
+
+    A setup that is wrong in one way is often wrong in another one, too. Causes are looked for in the setup as it would
+    be with the causes before them settled.
+
+    Args:
+        frame: Frame of the camera.
+        workspace: Pose and size of the bin, as they are believed.
+        part: Part that is searched for.
+        boundary: Boundary points of the frame; extracted if None.
+        poses: What became of the groups in the pose estimation; None if there was none.
+
+    Note:
+        Takes 1 to 3 ms, and as long as :func:`~perception.boundary.extract_boundary` more if the boundary is not given.
+    """
+    boundary = extract_boundary(frame, workspace) if boundary is None else boundary
+    samples = DepthSamples.of(frame)
+    u0, v0, u1, v1 = bin_region(
+        workspace, frame.K, frame.T_world_cam, samples.size, margin=0.0, headroom=BoundarySettings().headroom
+    ).tolist()
+    whole = frame.depth[v0:v1, u0:u1]
+    step = max(int(np.ceil(np.sqrt(whole.size / _REGION_SAMPLES))), 1)
+    depth, grey = whole[::step, ::step], frame.grey[v0:v1:step, u0:u1:step]
+    found = cv2.countNonZero(whole) if whole.size else 0
+    given = Setup(
+        K=np.asarray(frame.K, np.float64),
+        T_world_cam=np.asarray(frame.T_world_cam, np.float64),
+        T_world_bin=np.asarray(workspace.T_world_bin, np.float64),
+        inner_size=np.asarray(workspace.inner_size, np.float64),
+    )
+    causes, setup = geometry_causes(samples, given, poses is not None and poses.found > 0)
+    sound = not causes
+    if samples.missing is not None:
+        causes.append(_missing_depth(samples))
+    causes += _exposure(grey if grey.size else frame.grey[::8, ::8])
+    measured = depth[samples.measured(depth)]
+    measured = measured if len(measured) else samples.depth[samples.measured(samples.depth)]
+    pixels = _part_pixels(setup, part, measured)
+    causes += _resolution(part, pixels)
+    if sound:
+        causes += _floor(part, setup.fit(samples).low, poses)
+    return FrameReport(
+        pixels=whole.size,
+        depth_share=found / max(whole.size, 1),
+        median_depth=float(np.median(depth[depth > 0])) if np.any(depth > 0) else None,
+        boundary_points=len(boundary),
+        outside=boundary.outside,
+        part_pixels=pixels,
+        poses=poses,
+        causes=tuple(causes),
+    )
+
+
+def _missing_depth(samples: DepthSamples) -> Cause:
+    text = (
+        f"{100 * samples.missing_share:.1f} % of the pixels have exactly the depth {samples.missing:.6g} m, far from "
+        "all others: it seems to stand for no measurement; set these pixels to 0"
+    )
+    return Cause(name="missing_depth", text=text)
+
+
+def _exposure(grey: NDArray[np.uint8]) -> list[Cause]:
+    """Suspect the exposure if no edge can reach the detector's threshold, or much is saturated."""
+    bright = float(np.quantile(grey, _DARK_QUANTILE))
+    if bright < _DARK:
+        text = (
+            f"99 % of the bin's image is darker than grey level {bright:.0f} of 255: the image is underexposed; edges "
+            f"need steps of {_DARK} levels, so expose longer, or scale the grey levels up"
+        )
+        return [Cause(name="underexposed", text=text)]
+    saturated = float(np.mean(grey >= _BRIGHT))
+    if saturated >= _SATURATED:
+        text = (
+            f"{100 * saturated:.0f} % of the bin's image is saturated: the image is overexposed and contours are lost; "
+            "expose it shorter"
+        )
+        return [Cause(name="overexposed", text=text)]
+    return []
+
+
+def _part_pixels(setup: Setup, part: PartModel, depths: NDArray[np.float32]) -> float | None:
+    """Return the expected length of a part in the image [px] at the median of (N,) depths; None without any."""
+    if len(depths) == 0:
+        return None
+    focal = float(np.sqrt(setup.K[0, 0] * setup.K[1, 1]))
+    return focal * part.d_max / (float(np.median(depths)) * setup.scale)
+
+
+def _resolution(part: PartModel, pixels: float | None) -> list[Cause]:
+    """Suspect the part's size: too thin to stand out from the floor, or too small in the image."""
+    causes = []
+    margin, thickness = BoundarySettings().margin, part_thickness(part)
+    if thickness < margin:
+        text = (
+            f"the part is {1000 * thickness:.3g} mm thick, but boundary points within {1000 * margin:.3g} mm of the "
+            "floor count as the bin's: parts that lie flat on the floor are not seen; lower T_world_bin by "
+            f"{1000 * (margin - thickness) + 1:.0f} mm"
+        )
+        causes.append(Cause(name="thin_part", text=text))
+    if pixels is not None and pixels < FEWEST_PIXELS:
+        splits = f" (under {SPLITTING_PIXELS} the segmentation splits parts)" if pixels < SPLITTING_PIXELS else ""
+        text = (
+            f"a part is only about {pixels:.0f} pixels long, {FEWEST_PIXELS} are needed{splits}: move the camera "
+            "nearer, or take a longer lens or a higher resolution"
+        )
+        causes.append(Cause(name="few_pixels", text=text))
+    return causes
+
+
+def _floor(part: PartModel, low: float, poses: PoseCounts | None) -> list[Cause]:
+    """Suspect the height of the bin if much is measured below its floor, or the floor rejected many poses.
+
+    Args:
+        part: Part that is searched for.
+        low: Height over the floor below which a quarter of the measurements lie [m].
+        poses: What became of the groups in the pose estimation; None if there was none.
+    """
+    signs = []
+    if low < -max(_BELOW_FLOOR, _BELOW_FLOOR_SHARE * part.d_max):
+        signs.append(f"a quarter of what is measured in the bin lies {-1000 * low:.0f} mm or more below its floor")
+    if poses is not None and poses.by_floor >= max(_FLOOR_GROUPS, _FLOOR_SHARE * poses.groups):
+        signs.append(f"the floor rejected the best poses of {poses.by_floor} of {poses.groups} groups")
+    if not signs:
+        return []
+    text = (
+        f"{', and '.join(signs)}: the floor of the bin seems to be lower than T_world_bin says, or tilted; "
+        "measure its height again"
+    )
+    return [Cause(name="floor_height", text=text)]
+
+
+@lru_cache(maxsize=16)
+def part_thickness(part: PartModel) -> float:
+    """Return the least distance of two parallel planes that enclose a part, one of them on a face of its hull [m]."""
+    vertices: Floats = np.asarray(part.mesh.vertices, np.float64)
+    hull = ConvexHull(vertices)
+    corners = vertices[hull.vertices]
+    normals = np.unique(hull.equations[:, :3].round(6), axis=0)
+    blocks = np.array_split(normals, max(len(normals) * len(corners) // 4_000_000, 1))
+    return min(float(np.ptp(corners @ block.T, axis=0).min()) for block in blocks)

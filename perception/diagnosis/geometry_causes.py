@@ -1,0 +1,148 @@
+"""Wrong units, camera matrices and poses: an assumption is suspected where another one explains the frame better."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from perception.diagnosis.report import Cause, CauseName
+from perception.diagnosis.samples import BinFit, DepthSamples
+from perception.geometry import Floats, invert_transform
+
+_FARTHEST = 50.0  # median depth [m] that no camera over a bin measures; 50 mm is less than the nearest ones see
+_LARGEST_BIN = 10.0  # length [m] of no bin; no bin is 10 mm long either
+_OFF_CENTRE = 1.25  # ratio of the principal point and the middle of the image from which K is another image's
+_FITS = 0.5  # share of the measurements that lie in the box if the bin is where it is said to be
+_MISFIT = 0.3  # share below which it is not
+_FEWEST_MEASURED = 0.05  # share of the pixels of the bin below which nothing can be said of its pose
+_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # from OpenGL's camera axes (y up, z back) to OpenCV's, and back
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Setup:
+    """What is assumed of camera and bin, and corrected cause by cause.
+
+    Attributes:
+        K: (3, 3) camera matrix [px].
+        T_world_cam: (4, 4) camera pose.
+        T_world_bin: (4, 4) pose of the bin.
+        inner_size: (3,) inner length, width and height of the bin [m].
+        scale: Factor from the frame's depth to metres.
+    """
+
+    K: Floats
+    T_world_cam: Floats
+    T_world_bin: Floats
+    inner_size: Floats
+    scale: float = 1.0
+
+    def fit(self, samples: DepthSamples) -> BinFit:
+        """Return how well the measurements fill the bin."""
+        T_cam_bin = invert_transform(self.T_world_cam) @ self.T_world_bin
+        return samples.fit(self.K, T_cam_bin, self.inner_size, self.scale)
+
+
+def geometry_causes(samples: DepthSamples, setup: Setup, poses_found: bool) -> tuple[list[Cause], Setup]:
+    """Return the causes that units, camera matrix and poses give, and the setup as it should be.
+
+    Args:
+        samples: Depth measurements of the frame.
+        setup: Camera and bin as they were given.
+        poses_found: Whether poses were verified: then neither scale nor camera matrix can be far off.
+    """
+    causes: list[Cause] = []
+    depths = samples.depth[samples.measured(samples.depth)]
+    if len(depths) == 0:
+        return [_no_depth("no pixel")], setup
+    median = float(np.median(depths))
+    if median >= _FARTHEST:
+        setup = replace(setup, scale=0.001)
+        text = f"the median depth is {median:.4g} m: the depth seems to be in millimetres; multiply it by 0.001"
+        causes.append(Cause(name="depth_unit", text=text))
+    if setup.inner_size.max() >= _LARGEST_BIN:
+        size = " x ".join(f"{value:g}" for value in setup.inner_size)
+        setup = replace(setup, inner_size=setup.inner_size / 1000)
+        text = f"inner_size is {size} m: it seems to be in millimetres; divide it by 1000"
+        causes.append(Cause(name="inner_size_unit", text=text))
+    if not poses_found:
+        for check in (_camera_matrix, _poses):
+            found = check(samples, setup)
+            if found is not None:
+                causes.append(found[0])
+                setup = found[1]
+    return causes, setup
+
+
+def _no_depth(which: str) -> Cause:
+    text = f"{which} has a depth: check exposure and range of the depth camera, and what shines or absorbs light"
+    return Cause(name="no_depth", text=text)
+
+
+def _camera_matrix(samples: DepthSamples, setup: Setup) -> tuple[Cause, Setup] | None:
+    """Suspect K if its principal point is the middle of a larger or smaller image."""
+    width, height = samples.size
+    across, down = (2 * setup.K[0, 2] + 1) / width, (2 * setup.K[1, 2] + 1) / height
+    larger, smaller = min(across, down) >= _OFF_CENTRE, max(across, down) <= 1 / _OFF_CENTRE
+    if not (larger or smaller):
+        return None
+    # Keeping the upper left of a larger image moves the principal point likewise; the bin is then in view.
+    shrink = np.array([1 / across, 1 / down, 1.0])
+    other = replace(setup, K=setup.K * shrink[:, None])
+    if larger and setup.fit(samples).view >= min(0.9, other.fit(samples).view):
+        return None
+    text = (
+        f"the principal point ({setup.K[0, 2]:.0f}, {setup.K[1, 2]:.0f}) px is the middle of an image of about "
+        f"{across * width:.0f} x {down * height:.0f} px, but this one has {width} x {height}: K seems to be that of "
+        f"another resolution; multiply its first row by {1 / across:.2g} and its second by {1 / down:.2g}"
+    )
+    return Cause(name="camera_matrix", text=text), other
+
+
+def _poses(samples: DepthSamples, setup: Setup) -> tuple[Cause, Setup] | None:
+    """Suspect the poses of camera and bin if what is measured where the bin should be is not in its box."""
+    fit = setup.fit(samples)
+    unseen = fit.view >= _FITS and fit.measured < _FEWEST_MEASURED
+    if fit.inside >= _MISFIT and not unseen:
+        return None
+    corrected = _camera_pose(samples, setup)
+    if corrected is not None:
+        return corrected
+    return _no_depth("hardly any pixel of the bin") if unseen else _bin_pose(fit, setup), setup
+
+
+def _camera_pose(samples: DepthSamples, setup: Setup) -> tuple[Cause, Setup] | None:
+    """Suspect the camera's pose if the bin would be where it is said to be with a usual mistake undone."""
+    inverse = invert_transform(setup.T_world_cam)
+    opengl = "T_world_cam seems to have OpenGL's camera axes (y up, z back)"
+    inverted = "T_world_cam seems to be its inverse, which maps the world to the camera"
+    others: list[tuple[CauseName, Floats, str]] = [
+        ("camera_axes", setup.T_world_cam @ _OPENGL, f"{opengl}; use T_world_cam @ diag(1, -1, -1, 1)"),
+        ("camera_inverted", inverse, f"{inverted}; invert it"),
+        (
+            "camera_inverted",
+            inverse @ _OPENGL,
+            f"{inverted}, with OpenGL's camera axes; use inv(T_world_cam) @ diag(1, -1, -1, 1)",
+        ),
+    ]
+    fits = [replace(setup, T_world_cam=T).fit(samples) for _, T, _ in others]
+    best = max(range(len(others)), key=lambda k: fits[k].inside * fits[k].view)
+    if min(fits[best].inside, fits[best].view) < _FITS:
+        return None
+    name, T_world_cam, advice = others[best]
+    text = (
+        f"the frame shows no bin where it should be, but {100 * fits[best].inside:.0f} % of what is measured there "
+        f"lies in its box if the camera's pose is corrected: {advice}"
+    )
+    return Cause(name=name, text=text), replace(setup, T_world_cam=T_world_cam)
+
+
+def _bin_pose(fit: BinFit, setup: Setup) -> Cause:
+    """Return the cause where no usual mistake explains that the bin is elsewhere."""
+    where = f"only {100 * fit.inside:.0f} % of what is measured there is in its box"
+    where = "the camera looks elsewhere" if fit.view == 0 else where
+    text = f"the frame shows no bin where it should be: {where}; check T_world_bin and T_world_cam"
+    if np.allclose(setup.T_world_bin, np.eye(4), rtol=0, atol=1e-6):
+        text = (
+            f"the bin stands at the origin of the world (T_world_bin is the identity), but {where}: T_world_bin is the "
+            "pose of the middle of the inner floor, z up"
+        )
+    return Cause(name="bin_pose", text=text)

@@ -1,0 +1,100 @@
+"""What a diagnosis says: facts of a frame, and likely causes in words that a user can act on."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+CauseName = Literal[
+    "depth_unit",
+    "missing_depth",
+    "no_depth",
+    "inner_size_unit",
+    "camera_matrix",
+    "camera_axes",
+    "camera_inverted",
+    "bin_pose",
+    "underexposed",
+    "overexposed",
+    "thin_part",
+    "few_pixels",
+    "floor_height",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """A likely cause of lost parts.
+
+    Attributes:
+        name: Short name, to count and to compare by.
+        text: What was measured, what it suggests, and what to do.
+    """
+
+    name: CauseName
+    text: str
+
+    def __post_init__(self) -> None:
+        if self.name not in get_args(CauseName):
+            raise ValueError(f"name must be one of {', '.join(get_args(CauseName))}, got {self.name!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseCounts:
+    """What became of the groups of boundary points in the pose estimation.
+
+    Attributes:
+        groups: Number of groups that were searched for a pose.
+        found: Verified poses.
+        by_floor: Groups whose best hypothesis reached through the floor of the bin.
+        by_walls: Groups whose best hypothesis reached through a wall of the bin.
+        by_neighbours: Poses with a high enough score that collide with a better one, or are the same.
+        by_score: Poses whose score is too low.
+    """
+
+    groups: int
+    found: int
+    by_floor: int
+    by_walls: int
+    by_neighbours: int
+    by_score: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameReport:
+    """Facts of a frame and likely causes of lost parts.
+
+    Attributes:
+        pixels: Number of pixels in the rectangle of the image that shows the bin.
+        depth_share: Share of these pixels that have a depth, in [0, 1].
+        median_depth: Median of these depths [m]; None without any.
+        boundary_points: Number of boundary points in the bin.
+        outside: Number of edge points in the image of the bin that lie outside its box.
+        part_pixels: Expected length of a part in the image, along its largest extent [px]; None without depth.
+        poses: What became of the groups; None if no poses were estimated.
+        causes: Likely causes, those to settle first first; empty for a good frame.
+    """
+
+    pixels: int
+    depth_share: float
+    median_depth: float | None
+    boundary_points: int
+    outside: int
+    part_pixels: float | None
+    poses: PoseCounts | None
+    causes: tuple[Cause, ...]
+
+    def __str__(self) -> str:
+        depth = "no depth" if self.median_depth is None else f"median depth {self.median_depth:.4g} m"
+        lines = [
+            f"bin in the image: {self.pixels} pixels, {100 * self.depth_share:.1f} % with depth, {depth}",
+            f"boundary points: {self.boundary_points} in the bin, {self.outside} edge points outside its box",
+        ]
+        if self.part_pixels is not None:
+            lines.append(f"a part is about {self.part_pixels:.0f} pixels long")
+        if self.poses is not None:
+            n = self.poses
+            lines.append(
+                f"poses: {n.found} of {n.groups} groups; rejected: {n.by_floor} by the floor, {n.by_walls} by the "
+                f"walls, {n.by_neighbours} by neighbours, {n.by_score} by score"
+            )
+        lines += [f"likely cause: {cause.text}" for cause in self.causes] or ["no likely cause of lost parts"]
+        return "\n".join(lines)

@@ -1,0 +1,118 @@
+"""Depth measurements on a coarse grid of pixels, and how well they fill a bin that is assumed to be somewhere."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.frame import Frame
+from perception.geometry import NEAR, Floats, invert_transform, project_points, transform_points
+
+_MOST = 16_384  # number of pixels that are looked at; a share of them is exact to half a percent
+_TOLERANCE = 0.015  # distance outside the box at which a point still counts as in it: rims, noise, an inexact pose [m]
+_HEADROOM = 0.03  # height above the rim up to which parts are heaped [m]
+_ODD_SHARE = 0.005  # share of the measurements from which one value that all others are far from is no distance
+_ODD_RATIO = 1.5  # ratio of this value and the nearest other one
+
+
+@dataclass(frozen=True, kw_only=True)
+class BinFit:
+    """How well the measurements fill a bin that is assumed to be somewhere.
+
+    Attributes:
+        inside: Share of the measurements in the bin's image whose points lie in its box, in [0, 1].
+        measured: Share of the pixels in the bin's image that have a depth, in [0, 1].
+        view: Share of the bin's image that lies within the frame, in [0, 1].
+        low: Height over the bin's floor below which a quarter of the points between its walls lie [m]; 0 without any.
+    """
+
+    inside: float = 0.0
+    measured: float = 0.0
+    view: float = 0.0
+    low: float = 0.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DepthSamples:
+    """Depth measurements on a coarse grid of pixels.
+
+    Attributes:
+        depth: (h, w) depth at every ``step``-th pixel [m], as the frame has it; 0 where there is no measurement.
+        step: Distance of neighbouring pixels of the grid [px].
+        size: Width and height of the image [px].
+        missing: Value that stands for no measurement, but was taken for a depth [m]; None if there is none.
+        missing_share: Share of the pixels that have this value, in [0, 1].
+    """
+
+    depth: NDArray[np.float32]
+    step: int
+    size: tuple[int, int]
+    missing: float | None
+    missing_share: float
+
+    @classmethod
+    def of(cls, frame: Frame) -> "DepthSamples":
+        """Return the samples of a frame."""
+        height, width = frame.depth.shape
+        step = max(int(np.ceil(np.sqrt(width * height / _MOST))), 1)
+        depth = frame.depth[::step, ::step]
+        missing = _odd_value(depth[depth > 0])
+        share = 0.0 if missing is None else float(np.mean(depth == np.float32(missing)))
+        return cls(depth=depth, step=step, size=(width, height), missing=missing, missing_share=share)
+
+    def measured(self, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return the mask of the depths that are measurements, of an array of any shape."""
+        there = depth > 0
+        return there if self.missing is None else there & (depth != np.float32(self.missing))
+
+    def fit(self, K: Floats, T_cam_bin: Floats, inner_size: Floats, scale: float) -> BinFit:
+        """Return how well the measurements fill a bin; nothing is inside or in view where the camera looks elsewhere.
+
+        Args:
+            K: (3, 3) camera matrix [px].
+            T_cam_bin: (4, 4) assumed pose of the bin in the camera frame.
+            inner_size: (3,) inner length, width and height of the bin [m].
+            scale: Factor from the frame's depth to metres.
+        """
+        half = inner_size[:2] / 2
+        corners_bin = np.array(
+            [[x, y, z] for x in (-half[0], half[0]) for y in (-half[1], half[1]) for z in (0.0, inner_size[2])]
+        )
+        corners_cam = transform_points(T_cam_bin, corners_bin)
+        if np.any(corners_cam[:, 2] <= NEAR):
+            return BinFit()
+        outline = cv2.convexHull((project_points(K, corners_cam) / self.step).clip(-1e4, 1e4).astype(np.float32))
+        image = np.zeros(self.depth.shape, np.uint8)
+        cv2.fillConvexPoly(image, np.rint(outline).astype(np.int32), 1)
+        area, shown = float(cv2.contourArea(outline)), int(np.count_nonzero(image))
+        if shown < 4:
+            return BinFit()
+        view = min(shown / max(area, 1.0), 1.0)
+        v, u = np.nonzero((image > 0) & self.measured(self.depth))
+        if len(v) == 0:
+            return BinFit(view=view)
+        z = self.depth[v, u].astype(np.float64) * scale
+        x, y = (u * self.step - K[0, 2]) / K[0, 0] * z, (v * self.step - K[1, 2]) / K[1, 1] * z
+        points_bin = transform_points(invert_transform(T_cam_bin), np.column_stack([x, y, z]))
+        beside, height = np.abs(points_bin[:, :2]).T, points_bin[:, 2]
+        inside = (beside[0] <= half[0] + _TOLERANCE) & (beside[1] <= half[1] + _TOLERANCE)
+        inside &= (height >= -_TOLERANCE) & (height <= inner_size[2] + _HEADROOM)
+        between = height[(beside[0] <= half[0]) & (beside[1] <= half[1])]
+        low = float(np.quantile(between, 0.25)) if len(between) else 0.0
+        return BinFit(inside=float(np.mean(inside)), measured=len(v) / shown, view=view, low=low)
+
+
+def _odd_value(depths: NDArray[np.float32]) -> float | None:
+    """Return the least or greatest of (N,) depths if many pixels have it exactly and all others are far from it."""
+    if len(depths) == 0:
+        return None
+    for extreme, beyond in ((depths.max(), np.max), (depths.min(), np.min)):
+        others = depths[depths != extreme]
+        if len(others) == 0:
+            return None
+        nearest = float(beyond(others))
+        ratio = max(float(extreme) / nearest, nearest / float(extreme))
+        if ratio >= _ODD_RATIO and len(depths) - len(others) >= _ODD_SHARE * len(depths):
+            return float(extreme)
+    return None

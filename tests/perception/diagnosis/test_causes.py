@@ -1,0 +1,205 @@
+"""Each cause is found in one good frame that was spoiled in one way, and no other cause is."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from perception.diagnosis import FrameReport, PoseCounts, diagnose
+from perception.frame import Frame, Workspace
+from perception.geometry import invert_transform, make_transform, rotation_about
+from perception.part import PartModel
+from perception.pipeline import perceive_by
+from tests.perception.diagnosis import bin_scene as scene
+from tests.perception.pose.estimator_scene import quick_estimator
+
+GOOD = scene.good()[0]
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+ESTIMATOR = quick_estimator(scene.ELL)
+HALF = np.diag([0.5, 0.5, 1.0])
+
+
+def bin_moved(z: float, tilt: float = 0.0) -> Workspace:
+    moved = make_transform(rotation_about((1, 0, 0), tilt), (0.0, 0.0, z))
+    return replace(scene.BIN, T_world_bin=scene.BIN.T_world_bin @ moved)
+
+
+def holes_at(value: float) -> np.ndarray:
+    return np.where(GOOD.depth == 0, np.float32(value), GOOD.depth)
+
+
+def smaller(factor: float) -> Frame:
+    """Return the frame of a camera of fewer pixels."""
+    size = tuple(int(factor * n) for n in scene.SIZE)
+    K = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]]) @ GOOD.K
+    grey, depth = (cv2.resize(a, size, interpolation=cv2.INTER_NEAREST) for a in (GOOD.grey, GOOD.depth))
+    return Frame(grey=grey, depth=depth, K=K, T_world_cam=GOOD.T_world_cam)
+
+
+SPOILED: dict[str, tuple[Callable[[], tuple[Frame, Workspace]], list[str], str]] = {
+    "depth in millimetres": (
+        lambda: (replace(GOOD, depth=1000 * GOOD.depth), scene.BIN),
+        ["depth_unit"],
+        "seems to be in millimetres; multiply it by 0.001",
+    ),
+    "K of a larger image": (
+        lambda: (replace(GOOD, K=np.diag([2.0, 2.0, 1.0]) @ GOOD.K), scene.BIN),
+        ["camera_matrix"],
+        "is the middle of an image of about 959 x 719 px, but this one has 480 x 360: K seems to be that of another",
+    ),
+    "K of a smaller image": (
+        lambda: (replace(GOOD, K=HALF @ GOOD.K), scene.BIN),
+        ["camera_matrix"],
+        "multiply its first row by 2 and its second by 2",
+    ),
+    "OpenGL axes": (
+        lambda: (replace(GOOD, T_world_cam=GOOD.T_world_cam @ OPENGL), scene.BIN),
+        ["camera_axes"],
+        "use T_world_cam @ diag(1, -1, -1, 1)",
+    ),
+    "inverted": (
+        lambda: (replace(GOOD, T_world_cam=invert_transform(GOOD.T_world_cam)), scene.BIN),
+        ["camera_inverted"],
+        "T_world_cam seems to be its inverse, which maps the world to the camera; invert it",
+    ),
+    "inverted, OpenGL axes": (
+        lambda: (replace(GOOD, T_world_cam=invert_transform(GOOD.T_world_cam @ OPENGL)), scene.BIN),
+        ["camera_inverted"],
+        "use inv(T_world_cam) @ diag(1, -1, -1, 1)",
+    ),
+    "bin at the origin": (
+        lambda: (GOOD, replace(scene.BIN, T_world_bin=np.eye(4))),
+        ["bin_pose"],
+        "the bin stands at the origin of the world (T_world_bin is the identity), but",
+    ),
+    "bin elsewhere": (
+        lambda: (GOOD, bin_moved(0.2)),
+        ["bin_pose"],
+        "the frame shows no bin where it should be",
+    ),
+    "inner_size in millimetres": (
+        lambda: (GOOD, replace(scene.BIN, inner_size=1000 * scene.BIN.inner_size)),
+        ["inner_size_unit"],
+        "inner_size is 240 x 180 x 80 m: it seems to be in millimetres; divide it by 1000",
+    ),
+    "underexposed": (
+        lambda: (replace(GOOD, grey=(GOOD.grey / 10).astype(np.uint8)), scene.BIN),
+        ["underexposed"],
+        "is darker than grey level 16 of 255: the image is underexposed",
+    ),
+    "overexposed": (
+        lambda: (replace(GOOD, grey=np.clip(5.0 * GOOD.grey, 0, 255).astype(np.uint8)), scene.BIN),
+        ["overexposed"],
+        "the image is overexposed and contours are lost",
+    ),
+    "65535 for nothing": (
+        lambda: (replace(GOOD, depth=holes_at(65.535)), scene.BIN),
+        ["missing_depth"],
+        "have exactly the depth 65.535 m, far from all others: it seems to stand for no measurement; set these pixels",
+    ),
+    "0.001 for nothing": (
+        lambda: (replace(GOOD, depth=holes_at(0.001)), scene.BIN),
+        ["missing_depth"],
+        "have exactly the depth 0.001 m",
+    ),
+    "65535 for nothing, in millimetres": (
+        lambda: (replace(GOOD, depth=1000 * holes_at(65.535)), scene.BIN),
+        ["depth_unit", "missing_depth"],
+        "have exactly the depth 65535 m",
+    ),
+    "two thirds of the pixels": (
+        lambda: (smaller(2 / 3), scene.BIN),
+        ["few_pixels"],
+        "a part is only about 62 pixels long, 70 are needed: move the camera nearer",
+    ),
+    "a third of the pixels": (
+        lambda: (smaller(1 / 3), scene.BIN),
+        ["few_pixels"],
+        "a part is only about 31 pixels long, 70 are needed (under 45 the segmentation splits parts)",
+    ),
+    "bin 6 mm high": (
+        lambda: (GOOD, bin_moved(0.006)),
+        ["floor_height"],
+        "and the floor rejected the best poses of 4 of 4 groups: the floor of the bin seems to be lower than",
+    ),
+    "bin 12 mm high": (
+        lambda: (GOOD, bin_moved(0.012)),
+        ["floor_height"],
+        "a quarter of what is measured in the bin lies 12 mm or more below its floor",
+    ),
+    "no depth": (
+        lambda: (replace(GOOD, depth=np.zeros_like(GOOD.depth)), scene.BIN),
+        ["no_depth"],
+        "no pixel has a depth",
+    ),
+    "no depth in the bin": (
+        lambda: (replace(GOOD, depth=np.where(scene.in_bin(), np.float32(0), GOOD.depth)), scene.BIN),
+        ["no_depth"],
+        "hardly any pixel of the bin has a depth",
+    ),
+    # Frames that are as good: nothing is found.
+    "good": (lambda: (GOOD, scene.BIN), [], "no likely cause of lost parts"),
+    "noisy": (lambda: (replace(GOOD, depth=noisy()), scene.BIN), [], "no likely cause of lost parts"),
+    "bin 3 mm low": (lambda: (GOOD, bin_moved(-0.003)), [], "no likely cause of lost parts"),
+    "darker": (lambda: (replace(GOOD, grey=GOOD.grey // 2), scene.BIN), [], "no likely cause of lost parts"),
+    "upper left of the image": (lambda: (cropped(), scene.BIN), [], "no likely cause of lost parts"),
+}
+
+
+def noisy() -> np.ndarray:
+    noise = 0.001 * np.random.default_rng(1).normal(size=GOOD.depth.shape).astype(np.float32)
+    return np.where(GOOD.depth > 0, GOOD.depth + noise, 0)
+
+
+def cropped() -> Frame:
+    return replace(GOOD, grey=GOOD.grey[:285, :380].copy(), depth=GOOD.depth[:285, :380].copy())
+
+
+def names(report: FrameReport) -> list[str]:
+    return [cause.name for cause in report.causes]
+
+
+@pytest.mark.parametrize("name", [name for name in SPOILED if name != "bin 6 mm high"])
+def test_a_spoiled_frame_names_its_cause_and_no_other(name: str) -> None:
+    spoil, causes, text = SPOILED[name]
+    report = diagnose(*spoil(), scene.ELL)
+    assert names(report) == causes
+    assert text in str(report)
+
+
+@pytest.mark.parametrize("name", [name for name in SPOILED if "of the pixels" not in name and "upper left" not in name])
+def test_the_pipeline_names_the_same_causes(name: str) -> None:
+    spoil, causes, text = SPOILED[name]
+    frame, workspace = spoil()
+    ESTIMATOR.workspace = workspace
+    report = perceive_by(scene.true_groups, ESTIMATOR, frame, workspace).report
+    assert report is not None
+    assert report.poses is not None
+    assert names(report) == causes
+    assert text in str(report)
+    assert report.poses.found == (4 if causes in ([], ["missing_depth"], ["inner_size_unit"]) else 0)
+
+
+def test_a_part_thinner_than_the_margin_of_the_floor_is_named() -> None:
+    plate = PartModel.from_mesh("plate", trimesh.creation.box((0.06, 0.04, 0.002)))
+    report = diagnose(GOOD, scene.BIN, plate)
+    assert names(report) == ["thin_part"]
+    assert "the part is 2 mm thick, but boundary points within 3 mm of the floor count as the bin's" in str(report)
+    thicker = PartModel.from_mesh("plate", trimesh.creation.box((0.06, 0.04, 0.0031)))
+    assert names(diagnose(GOOD, scene.BIN, thicker)) == []
+
+
+def test_poses_that_were_found_exclude_a_wrong_camera_matrix() -> None:
+    frame = replace(GOOD, K=HALF @ GOOD.K)
+    found = PoseCounts(groups=4, found=2, by_floor=0, by_walls=0, by_neighbours=1, by_score=1)
+    assert "camera_matrix" in names(diagnose(frame, scene.BIN, scene.ELL))
+    assert "camera_matrix" not in names(diagnose(frame, scene.BIN, scene.ELL, poses=found))
+
+
+def test_a_few_poses_rejected_by_the_floor_are_no_cause() -> None:
+    counts = PoseCounts(groups=20, found=14, by_floor=5, by_walls=0, by_neighbours=0, by_score=6)
+    assert names(diagnose(GOOD, scene.BIN, scene.ELL, poses=counts)) == []
+    assert names(diagnose(GOOD, scene.BIN, scene.ELL, poses=replace(counts, by_floor=6))) == ["floor_height"]
