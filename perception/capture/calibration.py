@@ -5,10 +5,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from perception.geometry import Floats, invert_transform
+from perception.geometry import Floats, invert_transform, require_rigid
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients that OpenCV's model takes
-RIGID = 1e-4  # largest deviation of R R^T from the identity; files round rotations to four or more decimals
 ASPECT = 0.01  # largest relative difference of the two factors by which an image was scaled; sizes are whole pixels
 
 
@@ -134,15 +133,7 @@ def require_pose(name: str, pose: ArrayLike) -> Floats:
         ValueError: The pose has another shape or is not rigid, or its axes are left-handed.
     """
     T = np.array(pose, dtype=np.float64)
-    if T.shape != (4, 4):
-        raise ValueError(f"{name} must be (4, 4), got {T.shape}")
-    R = T[:3, :3]
-    if not np.isfinite(T).all() or T[3].tolist() != [0, 0, 0, 1] or np.abs(R @ R.T - np.eye(3)).max() > RIGID:
-        raise ValueError(
-            f"{name} must be rigid, a rotation and a translation [m] above the row 0 0 0 1, got {T.tolist()}"
-        )
-    if np.linalg.det(R) < 0:
-        raise ValueError(f"{name} must be right-handed, got axes of a mirrored frame {R.tolist()}: flip one axis")
+    require_rigid(name, T)
     return T
 
 

@@ -28,6 +28,21 @@ class Cloud:
         if self.grey is not None and self.grey.shape != self.points.shape[:2]:
             raise ValueError(f"grey must be {self.points.shape[:2]} as the points are, got {self.grey.shape}")
 
+    def in_grid(self, width: int, height: int) -> "Cloud":
+        """Return the cloud with its points laid out in rows of a grid, from left to right and top to bottom.
+
+        Raises:
+            ValueError: The grid has another number of cells.
+        """
+        count = self.points.shape[0] * self.points.shape[1]
+        if count != width * height:
+            raise ValueError(f"grid must have a cell for each of the {count} points, got {width} x {height}")
+        return Cloud(
+            points=self.points.reshape(height, width, 3),
+            grey=None if self.grey is None else self.grey.reshape(height, width),
+            viewpoint=self.viewpoint,
+        )
+
     @property
     def organised(self) -> bool:
         """Whether the points lie in a grid of pixels, so that neither side of it is 1."""

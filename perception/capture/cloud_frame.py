@@ -58,7 +58,8 @@ def images_of_cloud(
         if calibration is None or calibration.size is None:
             raise ValueError(
                 f"an unorganised cloud ({cloud.points.shape[1]} points in one row) or project=True needs a calibration "
-                f"with K and size, got {calibration}: state Calibration(K=..., size=(width, height))"
+                f"with K and size, got {calibration}: state Calibration(K=..., size=(width, height)), or "
+                "ReadOptions(grid=...) if the points lie in a grid that the file does not state"
             )
         grey = None if cloud.grey is None else cloud.grey[known]
         depth, image = project_cloud(points_cam[known], calibration.K, calibration.size, grey)

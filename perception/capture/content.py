@@ -13,6 +13,7 @@ from perception.capture.calibration_files import calibration_of
 from perception.capture.cloud import Cloud
 from perception.capture.images import grey_image, read_raw
 from perception.capture.pcd import read_pcd
+from perception.capture.ply import read_ply
 
 POINT_KEYS = ("points", "xyz", "points_cam", "cloud")  # names of an organised cloud in an NPZ file
 GREY_KEYS = ("grey", "gray", "image", "color", "colour", "rgb")  # names of a grey or colour image in an NPZ file
@@ -48,6 +49,8 @@ def load_content(path: Path) -> Content:
     suffix = path.suffix.lower()
     if suffix == ".pcd":
         return Content(cloud=read_pcd(path))
+    if suffix == ".ply":
+        return Content(cloud=read_ply(path))
     if suffix == ".npz":
         return _npz_content(path)
     if suffix == ".json":

@@ -27,6 +27,7 @@ class ReadOptions:
         None  # number of the image in BOP's scene_camera.json; None: the number that the file is named by
     )
     axes: Axes = "opencv"  # axes of a cloud: OpenCV's (y down, z forward) or OpenGL's (y up, z backward)
+    grid: tuple[int, int] | None = None  # columns and rows of an organised cloud whose file does not state them
     project: bool = False  # project an organised cloud into the stated camera, as unorganised ones are
     crop: tuple[int, int, int, int] | None = None  # part of the image to keep: u0, v0, width, height [px]
     quarter_turns: int = 0  # anticlockwise quarter turns of the image, after the crop

@@ -80,6 +80,8 @@ def read_frame_with_report(
     """
     path, options = Path(path), options or ReadOptions()
     content = load_content(path)
+    if options.grid is not None and content.cloud is not None:
+        content = replace(content, cloud=content.cloud.in_grid(*options.grid))
     if grey is not None:
         content = replace(content, grey=grey_image(read_raw(Path(grey)), f"the grey image {Path(grey).name}"))
     camera = _calibration(calibration, content, options, path)

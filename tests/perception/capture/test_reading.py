@@ -147,6 +147,15 @@ def test_a_scattered_cloud_is_projected_and_said(tmp_path: Path) -> None:
     assert (report.source, report.K_residual, report.unseen_points) == ("projected cloud", None, 1)
 
 
+def test_a_grid_that_the_file_does_not_state(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", points=scene_points().reshape(-1, 3))
+    frame, report = read_frame_with_report(tmp_path / "a.npz", options=ReadOptions(grid=(WIDTH, HEIGHT)))
+    np.testing.assert_array_equal(frame.depth, scene_depth())
+    assert report.source == "organised cloud"
+    with pytest.raises(ValueError, match="grid must have a cell for each of the 48 points, got 7 x 7"):
+        read_frame(tmp_path / "a.npz", options=ReadOptions(grid=(7, 7)))
+
+
 def test_the_grey_image_of_a_projected_cloud_is_undistorted(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", scene_points())
     cv2.imwrite(str(tmp_path / "grey.png"), GREY)
