@@ -1,6 +1,8 @@
 from .boundary import BoundaryCloud as BoundaryCloud
 from .boundary import BoundarySettings as BoundarySettings
 from .boundary import extract_boundary as extract_boundary
+from .diagnosis import FrameReport as FrameReport
+from .diagnosis import diagnose as diagnose
 from .frame import Frame as Frame
 from .frame import Workspace as Workspace
 from .instance import Instance as Instance

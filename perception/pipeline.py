@@ -1,6 +1,7 @@
 """The perception pipeline: from a frame to boundary points, to segments, to poses of parts."""
 
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -112,15 +113,7 @@ def perceive_by(
     clock.append(time.perf_counter())
     instances = explain_segments(boundary, segments, estimates, estimator.surface)
     clock.append(time.perf_counter())
-    sure = sum(each is not None and each.score >= estimator.config.min_score for each in estimates)
-    counts = PoseCounts(
-        groups=len(estimates),
-        found=len(poses),
-        by_floor=missed.count("floor"),
-        by_walls=missed.count("walls"),
-        by_neighbours=sure - len(poses),
-        by_score=sum(each is not None for each in estimates) - sure,
-    )
+    counts = _count_poses(estimates, poses, missed, estimator.config.min_score)
     report = diagnose(frame, workspace, estimator.part, boundary, counts)
     log_causes(report)
     ms = {name: 1000 * (b - a) for name, (a, b) in zip(STAGES, pairwise(clock), strict=True)}
@@ -138,11 +131,38 @@ def perceive_by(
 
 def _rejected_by_bin(
     estimator: PoseEstimator, searches: list[GroupSearch], frame: Frame, workspace: Workspace
-) -> list[str]:
-    """Return what the best hypotheses that the bin rejected reach through, ``floor`` or ``walls``, where they win."""
-    rejected = []
+) -> list[str | None]:
+    """Return what the best hypothesis of each group reaches through, ``floor`` or ``walls``; None if it is possible."""
+    rejected: list[str | None] = []
     for search in searches:
+        through = None
         if search.missed is not None:
             floor, walls = estimator.body.protrusions(frame.T_world_cam @ search.missed.T_cam_part, workspace)
-            rejected.append("floor" if floor >= walls else "walls")
+            through = "floor" if floor >= walls else "walls"
+        rejected.append(through)
     return rejected
+
+
+def _count_poses(
+    estimates: list[PoseEstimate | None], poses: list[PoseEstimate], missed: list[str | None], min_score: float
+) -> PoseCounts:
+    """Count what became of each group.
+
+    Args:
+        estimates: Best pose of each group; None for a group without a pose.
+        poses: Verified poses among them.
+        missed: What the best hypothesis of each of the first groups reaches through; None if it is possible.
+        min_score: Least score of a verified pose.
+    """
+    found = {pose.instance_idx for pose in poses}
+    fates = Counter[str]()
+    for k, estimate in enumerate(estimates):
+        if k in found:
+            fates["found"] += 1
+        elif k < len(missed) and missed[k] is not None:
+            fates[f"by_{missed[k]}"] += 1
+        elif estimate is None:
+            fates["without_pose"] += 1
+        else:
+            fates["by_score" if estimate.score < min_score else "by_neighbours"] += 1
+    return PoseCounts(groups=len(estimates), **fates)

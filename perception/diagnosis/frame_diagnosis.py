@@ -21,9 +21,9 @@ _REGION_SAMPLES = 16_384  # number of pixels of the bin's region that grey level
 _DARK, _BRIGHT = 40, 254  # grey levels: Canny's strong threshold, and a saturated pixel
 _DARK_QUANTILE = 0.99  # quantile of the grey levels that reaches the threshold where there are edges
 _SATURATED = 0.25  # share of saturated pixels from which contours are lost
-_FLOOR_SHARE = 0.3  # share of the groups whose best hypotheses the floor rejected from which its height is suspected
+_FLOOR_SHARE = 0.4  # share of the groups whose best hypotheses the floor rejected from which its height is suspected
 _BELOW_FLOOR, _BELOW_FLOOR_SHARE = 0.005, 0.05  # least depth below the floor, in metres and as a share of d_max
-_FLOOR_GROUPS = 2  # number of such groups from which it is
+_FLOOR_GROUPS = 3  # number of such groups from which it is; with fewer, the floor itself is in view
 
 
 def diagnose(
@@ -153,7 +153,7 @@ def _floor(part: PartModel, low: float, poses: PoseCounts | None) -> list[Cause]
     signs = []
     if low < -max(_BELOW_FLOOR, _BELOW_FLOOR_SHARE * part.d_max):
         signs.append(f"a quarter of what is measured in the bin lies {-1000 * low:.0f} mm or more below its floor")
-    if poses is not None and poses.by_floor >= max(_FLOOR_GROUPS, _FLOOR_SHARE * poses.groups):
+    if poses is not None and poses.by_floor >= max(_FLOOR_GROUPS, _FLOOR_SHARE * poses.groups, poses.found):
         signs.append(f"the floor rejected the best poses of {poses.by_floor} of {poses.groups} groups")
     if not signs:
         return []

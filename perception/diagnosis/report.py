@@ -1,6 +1,6 @@
 """What a diagnosis says: facts of a frame, and likely causes in words that a user can act on."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 CauseName = Literal[
@@ -39,23 +39,30 @@ class Cause:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseCounts:
-    """What became of the groups of boundary points in the pose estimation.
+    """What became of the groups of boundary points in the pose estimation; each counts once.
 
     Attributes:
         groups: Number of groups that were searched for a pose.
-        found: Verified poses.
-        by_floor: Groups whose best hypothesis reached through the floor of the bin.
-        by_walls: Groups whose best hypothesis reached through a wall of the bin.
-        by_neighbours: Poses with a high enough score that collide with a better one, or are the same.
-        by_score: Poses whose score is too low.
+        found: Groups with a verified pose.
+        by_floor: Groups without one whose best hypothesis reached through the floor of the bin.
+        by_walls: Groups without one whose best hypothesis reached through a wall of the bin.
+        by_neighbours: Groups whose pose has a high enough score, but collides with a better one, or is the same.
+        by_score: Groups whose pose has too low a score.
+        without_pose: Groups about which there is no hypothesis, or none that better poses of others leave possible.
     """
 
     groups: int
-    found: int
-    by_floor: int
-    by_walls: int
-    by_neighbours: int
-    by_score: int
+    found: int = 0
+    by_floor: int = 0
+    by_walls: int = 0
+    by_neighbours: int = 0
+    by_score: int = 0
+    without_pose: int = 0
+
+    def __post_init__(self) -> None:
+        counts = [getattr(self, each.name) for each in fields(self)]
+        if min(counts) < 0 or sum(counts[1:]) != self.groups:
+            raise ValueError(f"each of the groups must count once, got {self}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +101,7 @@ class FrameReport:
             n = self.poses
             lines.append(
                 f"poses: {n.found} of {n.groups} groups; rejected: {n.by_floor} by the floor, {n.by_walls} by the "
-                f"walls, {n.by_neighbours} by neighbours, {n.by_score} by score"
+                f"walls, {n.by_neighbours} by neighbours, {n.by_score} by score; {n.without_pose} without a pose"
             )
         lines += [f"likely cause: {cause.text}" for cause in self.causes] or ["no likely cause of lost parts"]
         return "\n".join(lines)

@@ -194,12 +194,21 @@ def test_a_part_thinner_than_the_margin_of_the_floor_is_named() -> None:
 
 def test_poses_that_were_found_exclude_a_wrong_camera_matrix() -> None:
     frame = replace(GOOD, K=HALF @ GOOD.K)
-    found = PoseCounts(groups=4, found=2, by_floor=0, by_walls=0, by_neighbours=1, by_score=1)
+    found = PoseCounts(groups=4, found=2, by_score=2)
     assert "camera_matrix" in names(diagnose(frame, scene.BIN, scene.ELL))
     assert "camera_matrix" not in names(diagnose(frame, scene.BIN, scene.ELL, poses=found))
 
 
-def test_a_few_poses_rejected_by_the_floor_are_no_cause() -> None:
-    counts = PoseCounts(groups=20, found=14, by_floor=5, by_walls=0, by_neighbours=0, by_score=6)
-    assert names(diagnose(GOOD, scene.BIN, scene.ELL, poses=counts)) == []
-    assert names(diagnose(GOOD, scene.BIN, scene.ELL, poses=replace(counts, by_floor=6))) == ["floor_height"]
+@pytest.mark.parametrize(
+    ("counts", "causes"),
+    [
+        (PoseCounts(groups=20, found=5, by_floor=7, by_score=8), []),
+        (PoseCounts(groups=20, found=5, by_floor=8, by_score=7), ["floor_height"]),
+        (PoseCounts(groups=20, found=11, by_floor=9), []),
+        (PoseCounts(groups=20, found=5, by_walls=15), []),
+        (PoseCounts(groups=3, by_floor=2, without_pose=1), []),
+        (PoseCounts(groups=3, by_floor=3), ["floor_height"]),
+    ],
+)
+def test_the_floor_is_suspected_if_it_rejects_a_high_share_of_poses(counts: PoseCounts, causes: list[str]) -> None:
+    assert names(diagnose(GOOD, scene.BIN, scene.ELL, poses=counts)) == causes

@@ -136,3 +136,14 @@ def test_a_near_symmetric_pose_may_be_the_better_one_unless_it_is_ruled_out() ->
 
 def test_nothing_is_found_among_no_hypotheses() -> None:
     assert best_place(searching(Scorer({}))) is None
+
+
+def test_an_impossible_hypothesis_is_missed_if_it_is_the_best() -> None:
+    missed = searching(Scorer({5.0: 9.0, 6.0: 2.0, 0.0: 3.0}), 5.0, 6.0, 0.0, most=4.0).missed
+    assert missed is not None
+    assert (place(missed.T_cam_part), missed.logit) == (5.0, 9.0)
+    assert searching(Scorer({5.0: 3.0, 0.0: 3.0}), 5.0, 0.0, most=4.0).missed is None
+    assert searching(Scorer({0.0: 3.0}), 0.0, 1.0).missed is None
+    only = searching(Scorer({}), 5.0, most=4.0)
+    assert only.missed is not None
+    assert only.best() is None

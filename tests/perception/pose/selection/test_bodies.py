@@ -230,6 +230,11 @@ def test_a_cube_reaches_through_the_floor_by_what_is_below_it(cube: BodyModel) -
     assert cube.protrusion(moved(z=0.9, rotation=leaning), BIN) == 0.0
 
 
+def test_floor_and_walls_are_told_apart(cube: BodyModel) -> None:
+    assert cube.protrusions(moved(x=2.8, z=0.4), BIN) == pytest.approx((0.1, 0.3))
+    assert cube.protrusions(moved(x=2.0, z=0.7), BIN) == pytest.approx((-0.2, -0.5))
+
+
 @pytest.mark.parametrize(("axis", "half"), [(0, 3.0), (1, 2.0)])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_cube_reaches_through_a_wall_by_what_is_beyond_it(
