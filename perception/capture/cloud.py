@@ -56,5 +56,6 @@ class Cloud:
 
 def measured(points: Floats) -> NDArray[np.bool_]:
     """Return the (...) mask of the points among (..., 3) that are finite and not at the origin."""
-    mask: NDArray[np.bool_] = np.isfinite(points).all(axis=-1) & (points != 0).any(axis=-1)
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    mask: NDArray[np.bool_] = np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0) | (y != 0) | (z != 0))
     return mask

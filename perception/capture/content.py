@@ -57,6 +57,8 @@ def load_content(path: Path) -> Content:
         return _json_content(path)
     raw = read_raw(path)
     if raw.ndim == 3 and raw.shape[2] == 3 and raw.dtype.kind == "f":
+        if (raw == raw[:, :, :1]).all():  # renderers store a depth image in every channel of an EXR
+            return Content(depth=raw[:, :, 0])
         # Three floating-point channels are coordinates. OpenCV, which reads images, gives the first channel last.
         points = raw.astype(np.float64) if suffix == ".npy" else raw[:, :, ::-1].astype(np.float64)
         return Content(cloud=Cloud(points=points))

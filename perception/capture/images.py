@@ -36,7 +36,7 @@ def read_raw(path: Path) -> NDArray[np.generic]:
 
 def _require_exr(path: Path) -> None:
     """Raise ``ValueError`` if this OpenCV reads no EXR."""
-    if os.environ.get(EXR) != "1" or not cv2.haveImageWriter(path.name):
+    if os.environ.get(EXR, "").lower() not in ("1", "true") or not cv2.haveImageWriter(path.name):
         raise ValueError(
             f"{path.name} needs an OpenCV with OpenEXR and the environment variable {EXR}=1, set before Python starts; "
             f"this is OpenCV {cv2.__version__} with {EXR}={os.environ.get(EXR)}: convert the image to a floating-point "
@@ -71,7 +71,10 @@ def metres(
     if scale is None:
         scale = FLOATING_SCALE if raw.dtype.kind == "f" else INTEGER_SCALE
     stored = raw.astype(np.float64)
-    absent = ~np.isfinite(stored) | (stored <= 0) | np.isin(raw, [value for value in missing if np.isfinite(value)])
+    values = np.array([value for value in missing if np.isfinite(value)], np.float64)
+    if raw.dtype.kind == "f":
+        values = values.astype(raw.dtype)  # as the file rounds them
+    absent = ~np.isfinite(stored) | (stored <= 0) | np.isin(raw, values)
     return np.where(absent, 0.0, stored * scale).astype(np.float32)
 
 

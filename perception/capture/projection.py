@@ -2,8 +2,8 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
+from perception.capture.shading import fill_from_nearest
 from perception.geometry import NEAR, Floats, project_points
 
 
@@ -34,6 +34,5 @@ def project_cloud(
     if image is not None and grey is not None:
         image[v, u] = grey[order]
         if len(order):  # a hole takes the grey of the nearest pixel, so that it draws no edge
-            nearest = distance_transform_edt(depth == 0, return_distances=False, return_indices=True)
-            image = image[tuple(nearest)]
+            image = fill_from_nearest(image, depth > 0)
     return depth, image

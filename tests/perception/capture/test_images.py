@@ -41,6 +41,8 @@ def test_integers_are_millimetres_and_missing_values_zero() -> None:
 def test_floating_point_is_in_metres_and_its_oddities_are_missing() -> None:
     raw = np.array([[np.nan, np.inf, -np.inf, -0.5, 0.0, 0.7, 10.0]], np.float64)
     np.testing.assert_array_equal(metres(raw, None, (10.0, np.nan)), np.array([[0, 0, 0, 0, 0, 0.7, 0]], np.float32))
+    single = np.array([[0.1, 0.2]], np.float32)
+    np.testing.assert_array_equal(metres(single, None, (0.1,)), np.array([[0, 0.2]], np.float32))
     np.testing.assert_array_equal(metres(raw[..., None], 0.5, ())[0, 5:], np.array([0.35, 5], np.float32))
 
 

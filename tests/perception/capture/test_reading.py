@@ -130,6 +130,13 @@ def test_clouds_in_arrays_and_images(tmp_path: Path, kind: str) -> None:
     assert kind != "npz" or (frame.grey == GREY).all()
 
 
+def test_a_depth_image_in_every_channel_is_no_cloud(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.dstack([scene_depth()] * 3))
+    frame, report = read_frame_with_report(tmp_path / "a.npy", calibration=K)
+    np.testing.assert_array_equal(frame.depth, scene_depth())
+    assert report.source == "depth image"
+
+
 def test_a_colour_image_in_an_npz_is_red_first(tmp_path: Path) -> None:
     colour = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     colour[:, :, 0] = 255
