@@ -158,8 +158,8 @@ def _floor(part: PartModel, low: float, poses: PoseCounts | None) -> list[Cause]
     if not signs:
         return []
     text = (
-        f"{', and '.join(signs)}: the floor of the bin seems to be lower than T_world_bin says, or tilted; "
-        "measure its height again"
+        f"{', and '.join(signs)}: the bin seems to stand lower than T_world_bin says, tilted or elsewhere; "
+        "measure its pose again"
     )
     return [Cause(name="floor_height", text=text)]
 

@@ -11,7 +11,9 @@ from perception.geometry import NEAR, Floats, invert_transform, project_points, 
 
 _MOST = 16_384  # number of pixels that are looked at; a share of them is exact to half a percent
 _TOLERANCE = 0.015  # distance outside the box at which a point still counts as in it: rims, noise, an inexact pose [m]
+_BELOW = 0.05  # depth below the floor down to which a point counts as in the box: the height may be wrong [m]
 _HEADROOM = 0.03  # height above the rim up to which parts are heaped [m]
+_FEWEST_SHOWN = 4  # number of samples below which the bin counts as out of view
 _ODD_SHARE = 0.005  # share of the measurements from which one value that all others are far from is no distance
 _ODD_RATIO = 1.5  # ratio of this value and the nearest other one
 
@@ -80,15 +82,10 @@ class DepthSamples:
             [[x, y, z] for x in (-half[0], half[0]) for y in (-half[1], half[1]) for z in (0.0, inner_size[2])]
         )
         corners_cam = transform_points(T_cam_bin, corners_bin)
-        if np.any(corners_cam[:, 2] <= NEAR):
+        image, view = self._image_of(K, corners_cam)
+        shown = int(np.count_nonzero(image))
+        if shown < _FEWEST_SHOWN:
             return BinFit()
-        outline = cv2.convexHull((project_points(K, corners_cam) / self.step).clip(-1e4, 1e4).astype(np.float32))
-        image = np.zeros(self.depth.shape, np.uint8)
-        cv2.fillConvexPoly(image, np.rint(outline).astype(np.int32), 1)
-        area, shown = float(cv2.contourArea(outline)), int(np.count_nonzero(image))
-        if shown < 4:
-            return BinFit()
-        view = min(shown / max(area, 1.0), 1.0)
         v, u = np.nonzero((image > 0) & self.measured(self.depth))
         if len(v) == 0:
             return BinFit(view=view)
@@ -97,10 +94,23 @@ class DepthSamples:
         points_bin = transform_points(invert_transform(T_cam_bin), np.column_stack([x, y, z]))
         beside, height = np.abs(points_bin[:, :2]).T, points_bin[:, 2]
         inside = (beside[0] <= half[0] + _TOLERANCE) & (beside[1] <= half[1] + _TOLERANCE)
-        inside &= (height >= -_TOLERANCE) & (height <= inner_size[2] + _HEADROOM)
+        inside &= (height >= -_BELOW) & (height <= inner_size[2] + _HEADROOM)
         between = height[(beside[0] <= half[0]) & (beside[1] <= half[1])]
         low = float(np.quantile(between, 0.25)) if len(between) else 0.0
         return BinFit(inside=float(np.mean(inside)), measured=len(v) / shown, view=view, low=low)
+
+    def _image_of(self, K: Floats, corners_cam: Floats) -> tuple[NDArray[np.uint8], float]:
+        """Return the (h, w) mask of the samples that show a box of (8, 3) corners, and the share of it in view."""
+        image = np.zeros(self.depth.shape, np.uint8)
+        behind = corners_cam[:, 2] <= NEAR
+        if behind.all():
+            return image, 0.0
+        if behind.any():  # the camera looks from within the box
+            return image + np.uint8(1), 1.0
+        outline = cv2.convexHull((project_points(K, corners_cam) / self.step).clip(-1e4, 1e4).astype(np.float32))
+        cv2.fillConvexPoly(image, np.rint(outline).astype(np.int32), 1)
+        area = float(cv2.contourArea(outline))
+        return image, min(np.count_nonzero(image) / max(area, 1.0), 1.0)
 
 
 def _odd_value(depths: NDArray[np.float32]) -> float | None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.diagnosis import FrameReport, PoseCounts, diagnose
+from perception.diagnosis import FrameReport, PoseCounts, diagnose, log
 from perception.frame import Frame, Workspace
 from perception.geometry import invert_transform, make_transform, rotation_about
 from perception.part import PartModel
@@ -123,12 +123,17 @@ SPOILED: dict[str, tuple[Callable[[], tuple[Frame, Workspace]], list[str], str]]
     "bin 6 mm high": (
         lambda: (GOOD, bin_moved(0.006)),
         ["floor_height"],
-        "and the floor rejected the best poses of 4 of 4 groups: the floor of the bin seems to be lower than",
+        "and the floor rejected the best poses of 4 of 4 groups: the bin seems to stand lower than",
     ),
     "bin 12 mm high": (
         lambda: (GOOD, bin_moved(0.012)),
         ["floor_height"],
         "a quarter of what is measured in the bin lies 12 mm or more below its floor",
+    ),
+    "bin 25 mm high": (
+        lambda: (GOOD, bin_moved(0.025)),
+        ["floor_height"],
+        "a quarter of what is measured in the bin lies 25 mm or more below its floor",
     ),
     "no depth": (
         lambda: (replace(GOOD, depth=np.zeros_like(GOOD.depth)), scene.BIN),
@@ -145,6 +150,11 @@ SPOILED: dict[str, tuple[Callable[[], tuple[Frame, Workspace]], list[str], str]]
     "noisy": (lambda: (replace(GOOD, depth=noisy()), scene.BIN), [], "no likely cause of lost parts"),
     "bin 3 mm low": (lambda: (GOOD, bin_moved(-0.003)), [], "no likely cause of lost parts"),
     "darker": (lambda: (replace(GOOD, grey=GOOD.grey // 2), scene.BIN), [], "no likely cause of lost parts"),
+    "camera in the bin": (
+        lambda: (GOOD, replace(bin_moved(-scene.TABLE), inner_size=np.array([1.2, 1.0, 0.8]))),
+        [],
+        "no likely cause of lost parts",
+    ),
     "upper left of the image": (lambda: (cropped(), scene.BIN), [], "no likely cause of lost parts"),
 }
 
@@ -212,3 +222,13 @@ def test_poses_that_were_found_exclude_a_wrong_camera_matrix() -> None:
 )
 def test_the_floor_is_suspected_if_it_rejects_a_high_share_of_poses(counts: PoseCounts, causes: list[str]) -> None:
     assert names(diagnose(GOOD, scene.BIN, scene.ELL, poses=counts)) == causes
+
+
+def test_the_pipeline_logs_each_cause_once(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log, "_logged", set())
+    ESTIMATOR.workspace = scene.BIN
+    spoiled = replace(GOOD, depth=1000 * GOOD.depth)
+    for frame in (GOOD, spoiled, spoiled):
+        perceive_by(scene.true_groups, ESTIMATOR, frame, scene.BIN)
+    (record,) = caplog.records
+    assert "the depth seems to be in millimetres" in record.message
