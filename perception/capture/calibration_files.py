@@ -9,6 +9,7 @@ import numpy as np
 
 from perception.capture.azure import azure_calibration, is_azure
 from perception.capture.calibration import Calibration, pose_from_world_to_camera
+from perception.capture.damage import decoding
 from perception.capture.yaml_subset import parse_yaml
 
 MODELS = ("plumb_bob", "rational_polynomial", "brown_conrady", "opencv", "none", "")  # those of OpenCV's formula
@@ -33,11 +34,13 @@ def read_calibration(
         ValueError: The file is none of these formats, or its lens model cannot be removed.
     """
     path = Path(path)
+    with decoding(path):
+        return _decoded(path, image_id, size)
+
+
+def _decoded(path: Path, image_id: int | None, size: tuple[int, int] | None) -> Calibration:
     text = path.read_text()
-    try:
-        content = json.loads(text) if path.suffix.lower() == ".json" else parse_yaml(text)
-    except ValueError as error:
-        raise ValueError(f"{path.name} must be a calibration in JSON or YAML, but cannot be parsed: {error}") from error
+    content = json.loads(text) if path.suffix.lower() == ".json" else parse_yaml(text)
     if not isinstance(content, dict):
         raise ValueError(f"{path.name} must hold named values, got a {type(content).__name__}")
     if is_azure(content):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from perception.capture.calibration import Calibration
 from perception.capture.calibration_files import calibration_of
 from perception.capture.cloud import Cloud
+from perception.capture.damage import decoding
 from perception.capture.images import grey_image, read_raw
 from perception.capture.pcd import read_pcd
 from perception.capture.ply import read_ply
@@ -46,7 +47,11 @@ def load_content(path: Path) -> Content:
         FileNotFoundError: There is no such file.
         ValueError: The content is not what its suffix says.
     """
-    suffix = path.suffix.lower()
+    with decoding(path):
+        return _decoded(path, path.suffix.lower())
+
+
+def _decoded(path: Path, suffix: str) -> Content:
     if suffix == ".pcd":
         return Content(cloud=read_pcd(path))
     if suffix == ".ply":
@@ -66,7 +71,7 @@ def load_content(path: Path) -> Content:
 
 
 def _npz_content(path: Path) -> Content:
-    with np.load(path, allow_pickle=False) as archive:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         arrays = {key: archive[key] for key in archive.files}
     calibration = None
     if "K" in arrays:

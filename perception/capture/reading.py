@@ -11,6 +11,7 @@ from perception.capture.calibration import Calibration, require_pose
 from perception.capture.calibration_files import read_calibration
 from perception.capture.cloud_frame import images_of_cloud
 from perception.capture.content import Content, load_content
+from perception.capture.damage import decoding
 from perception.capture.frame_edits import crop_frame, turn_frame
 from perception.capture.images import grey_image, metres, read_raw
 from perception.capture.options import ReadOptions, ReadReport
@@ -83,7 +84,9 @@ def read_frame_with_report(
     if options.grid is not None and content.cloud is not None:
         content = replace(content, cloud=content.cloud.in_grid(*options.grid))
     if grey is not None:
-        content = replace(content, grey=grey_image(read_raw(Path(grey)), f"the grey image {Path(grey).name}"))
+        with decoding(Path(grey)):
+            image = grey_image(read_raw(Path(grey)), f"the grey image {Path(grey).name}")
+        content = replace(content, grey=image)
     camera = _calibration(calibration, content, options, path)
     frame, report = (
         _from_cloud(content, camera, options)

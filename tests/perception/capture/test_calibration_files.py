@@ -163,8 +163,12 @@ def test_an_azure_kinect_has_no_other_modes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "text"),
     [
-        ("a.json", "{", "a.json must be a calibration in JSON or YAML, but cannot be parsed"),
-        ("a.yaml", "no mapping", "cannot be parsed: a line of a calibration in YAML must be 'key: value', got 'no map"),
+        ("a.json", "{", r"a\.json must be a complete file of the format that \.json says, but cannot be read"),
+        (
+            "a.yaml",
+            "no mapping",
+            "cannot be read .*: a line of a calibration in YAML must be 'key: value', got 'no map",
+        ),
         ("a.yaml", "a: 1\n  b: 2", "must be 'key: value', got 'b: 2'"),
         ("a.json", "[1]", "a.json must hold named values, got a list"),
         ("a.json", "{}", r"a.json must hold a camera matrix as one of RealSense .*, got the keys \[\]"),

@@ -1,0 +1,37 @@
+"""Damaged files: whatever a decoder raises becomes one error that names the file."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+
+@contextmanager
+def decoding(path: Path) -> Iterator[None]:
+    """Turn what goes wrong while a file is decoded into a ``ValueError`` that names it.
+
+    Decoders of damaged bytes raise almost anything: missing keys, indices out of range, numbers that are none, errors
+    of the zip format. An error that says what must be is kept. What the system says of the file itself (it is missing,
+    or must not be read) is passed on.
+
+    Args:
+        path: File that is decoded.
+
+    Raises:
+        ValueError: The file cannot be decoded.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except OSError:
+        raise
+    except Exception as error:
+        if isinstance(error, ValueError) and path.name in str(error):
+            raise
+        if isinstance(error, ValueError) and " must " in str(error):
+            raise ValueError(f"{path.name}: {error}") from error
+        raise ValueError(
+            f"{path.name} must be a complete file of the format that {path.suffix} says, but cannot be read "
+            f"({type(error).__name__}: {error}): copy it again, or save it anew"
+        ) from error

@@ -1,0 +1,75 @@
+"""Damaged files of every format are refused by name, whatever their decoder raises."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from perception.capture import read_calibration
+from perception.capture.content import load_content
+from perception.capture.damage import decoding
+from tests.perception.capture.camera_files import HEIGHT, WIDTH, K, pcd_header, scene_depth, scene_points, written
+
+XYZ = ("x y z", "4 4 4", "F F F")
+PLY = f"ply\nformat ascii 1.0\nelement vertex {WIDTH * HEIGHT}\n" + "".join(f"property float {a}\n" for a in "xyz")
+
+
+def contents(tmp_path: Path) -> dict[str, bytes]:
+    points = scene_points("<f4")
+    text = "\n".join(" ".join(f"{value:.9g}" for value in point) for point in points.reshape(-1, 3)).encode()
+    np.savez(tmp_path / "whole.npz", depth=scene_depth(), K=K)
+    np.save(tmp_path / "whole.npy", scene_depth())
+    cv2.imwrite(str(tmp_path / "whole.png"), np.rint(scene_depth() * 1000).astype(np.uint16))
+    flat = {"fx": 20.0, "fy": 21.0, "ppx": 3.4, "ppy": 2.7, "width": 8, "height": 6}
+    return {
+        "text.pcd": pcd_header(*XYZ, "ascii") + text,
+        "bytes.pcd": pcd_header(*XYZ, "binary") + points.tobytes(),
+        "text.ply": PLY.encode() + b"end_header\n" + text,
+        **{f"a.{kind}": (tmp_path / f"whole.{kind}").read_bytes() for kind in ("npz", "npy", "png")},
+        "camera.json": json.dumps(flat).encode(),
+        "camera.yaml": "".join(f"{key}: {value}\n" for key, value in flat.items()).encode(),
+    }
+
+
+def refusal(path: Path) -> str:
+    """Return the text of the error that reading a file raises, empty if it raises none."""
+    try:
+        read_calibration(path) if path.stem == "camera" else load_content(path)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def test_damage_is_refused_by_name_or_harmless(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    refused = dict.fromkeys(contents(tmp_path), 0)
+    for name, whole in contents(tmp_path).items():
+        for trial in range(30):
+            damaged = bytearray(whole)
+            if trial % 2:
+                damaged = damaged[: rng.integers(0, len(whole))]
+            else:
+                damaged[rng.integers(0, min(len(whole), 250))] = rng.integers(0, 256)
+            path = written(tmp_path / name, bytes(damaged))
+            refused[name] += name in refusal(path)
+    assert min(refused.values()) >= 10
+
+
+def test_what_must_be_is_said_with_the_name_of_the_file(tmp_path: Path) -> None:
+    skewed = written(tmp_path / "camera.json", json.dumps({"K": [[20, 0.5, 3], [0, 20, 2], [0, 0, 1]]}))
+    with pytest.raises(ValueError, match=r"^camera\.json: K must have no skew, got K\[0, 1\] = 0\.5 px"):
+        read_calibration(skewed)
+
+
+def test_what_the_system_says_is_passed_on(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        load_content(tmp_path / "none.npz")
+    with (
+        pytest.raises(ValueError, match=r"a\.xyz must be a complete file of the format that \.xyz says, .*KeyError: 1"),
+        decoding(Path("a.xyz")),
+    ):
+        raise KeyError(1)
+    with pytest.raises(ValueError, match=r"^a\.xyz is bad$"), decoding(Path("a.xyz")):
+        raise ValueError("a.xyz is bad")
