@@ -167,7 +167,7 @@ def test_an_azure_kinect_has_no_other_modes(tmp_path: Path) -> None:
         (
             "a.yaml",
             "no mapping",
-            "cannot be read .*: a line of a calibration in YAML must be 'key: value', got 'no map",
+            r"^a\.yaml: a line of a calibration in YAML must be 'key: value', got 'no map",
         ),
         ("a.yaml", "a: 1\n  b: 2", "must be 'key: value', got 'b: 2'"),
         ("a.json", "[1]", "a.json must hold named values, got a list"),
