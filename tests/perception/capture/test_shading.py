@@ -79,7 +79,7 @@ def test_holes_take_the_nearest_grey() -> None:
 
 def test_noise_draws_few_edges_and_steps_stay_on_their_pixels() -> None:
     rng = np.random.default_rng(0)
-    depth = np.full((240, 320), 0.9) + rng.normal(0, 0.0005, (240, 320))
+    depth = np.full((240, 320), 0.9) + rng.normal(0, 0.0015, (240, 320))
     depth[100:150, 120:180] -= 0.03
     K_large = camera_matrix(400.0, 320, 240)
     workspace = Workspace(T_world_bin=T_CAM_BIN, inner_size=np.array([0.6, 0.5, 0.1]))
