@@ -9,6 +9,8 @@ import pytest
 import trimesh
 
 from perception.diagnosis import FrameReport, PoseCounts, diagnose, log
+from perception.diagnosis.geometry_causes import Setup, geometry_causes
+from perception.diagnosis.samples import DepthSamples
 from perception.frame import Frame, Workspace
 from perception.geometry import invert_transform, make_transform, rotation_about
 from perception.part import PartModel
@@ -19,6 +21,7 @@ from tests.perception.pose.estimator_scene import quick_estimator
 GOOD = scene.good()[0]
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 ESTIMATOR = quick_estimator(scene.ELL)
+CORRECTED = ("depth_unit", "camera_matrix", "camera_axes", "camera_inverted", "inner_size_unit")
 HALF = np.diag([0.5, 0.5, 1.0])
 
 
@@ -232,3 +235,21 @@ def test_the_pipeline_logs_each_cause_once(caplog: pytest.LogCaptureFixture, mon
         perceive_by(scene.true_groups, ESTIMATOR, frame, scene.BIN)
     (record,) = caplog.records
     assert "the depth seems to be in millimetres" in record.message
+
+
+@pytest.mark.parametrize(
+    "name", [name for name, (_, causes, _) in SPOILED.items() if causes and causes[0] in CORRECTED]
+)
+def test_the_corrected_setup_is_the_true_one(name: str) -> None:
+    frame, workspace = SPOILED[name][0]()
+    given = Setup(
+        K=frame.K,
+        T_world_cam=frame.T_world_cam,
+        T_world_bin=workspace.T_world_bin,
+        inner_size=workspace.inner_size,
+    )
+    _, setup = geometry_causes(DepthSamples.of(frame), given, poses_found=False)
+    np.testing.assert_allclose(setup.K, GOOD.K, rtol=0.01)
+    np.testing.assert_allclose(setup.T_world_cam, GOOD.T_world_cam, atol=1e-12)
+    np.testing.assert_allclose(setup.inner_size, scene.BIN.inner_size)
+    assert setup.scale == (0.001 if "millimetres" in name and "inner_size" not in name else 1.0)
