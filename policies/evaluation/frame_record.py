@@ -68,12 +68,6 @@ class SegmentTable:
         truth = truth_of(np.repeat(parts, counts), np.asarray(visible_fractions, np.float64))
         return match_scene(truth, instances_of(np.repeat(groups, counts), self.scores))
 
-    def overlap(self, group: int, part: int) -> float:
-        """Return the IoU of a segment with a part's boundary points; 0 where they share none."""
-        shared = sum(n for g, p, n in self.points if (g, p) == (group, part))
-        union = sum(n for g, p, n in self.points if g == group or p == part)
-        return shared / union if shared else 0.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateRecord:
@@ -83,13 +77,14 @@ class CandidateRecord:
     modulo symmetry.
 
     Attributes:
-        part: Index of the part that owns most points of the candidate's segment; -1 where most are on no part.
+        part: Index of the part that owns most points of the candidate's group, which is a segment or what a pose left
+            over of one; -1 where most are on no part.
         score: Confidence of the perceiver.
         right: Whether the pose is correct for ``part``.
         found: Index of the part for which this is the best-scored correct pose; -1 for none, and for a duplicate.
         translation: Distance of the part's centre from its true place [m]; None without a part.
         rotation: Angle to the true rotation, modulo symmetry [rad]; None without a part.
-        overlap: IoU of the candidate's segment with the part's boundary points; None where nothing was segmented.
+        overlap: IoU of the candidate's group with the part's boundary points; None where nothing was segmented.
     """
 
     part: int
@@ -102,7 +97,7 @@ class CandidateRecord:
 
     @property
     def well_segmented(self) -> bool:
-        """Whether the candidate's segment is good; True where nothing was segmented."""
+        """Whether the candidate's group is good; True where nothing was segmented."""
         return self.overlap is None or (self.part >= 0 and self.overlap >= GOOD_OVERLAP)
 
 
@@ -166,8 +161,8 @@ def record_frame(frame_id: int, labelled_capture: LabelledCapture, observed: Obs
         segments, explained = (
             SegmentTable.count(found, part_ids) for found in (perception.segments, perception.instances)
         )
-        indices = [pose.instance_idx for pose in perception.poses[: len(candidates)]]
-        overlaps = [segments.overlap(index, each.part) for index, each in zip(indices, candidates, strict=True)]
+        groups = [perception.groups[pose.instance_idx] for pose in perception.poses[: len(candidates)]]
+        overlaps = [_overlap(group, each.part, part_ids) for group, each in zip(groups, candidates, strict=True)]
     facts = zip(candidates, _found(labelled_capture, candidates), overlaps, strict=True)
     return FrameRecord(
         frame_id=frame_id,
@@ -195,6 +190,14 @@ def _candidate(
         rotation=error.rotation,
         overlap=overlap,
     )
+
+
+def _overlap(group: Instance, part: int, part_ids: Ints) -> float:
+    """Return the IoU of a group of points with the points of a part, given the (N,) true parts of all points."""
+    own = part_ids == part
+    shared = int(np.count_nonzero(own[group.point_idx]))
+    union = len(group.point_idx) + int(np.count_nonzero(own)) - shared
+    return shared / union if shared else 0.0
 
 
 def _found(labelled_capture: LabelledCapture, candidates: Sequence[PoseCandidate]) -> list[int]:

@@ -55,14 +55,6 @@ def test_a_table_gives_the_same_matches_as_the_points(seed: int, groups: int, pa
     assert kept.truth_counts == direct.truth_counts
 
 
-def test_the_overlap_is_the_intersection_over_the_union() -> None:
-    # Segment 0: 30 points on part 2, 10 on part 0, 5 on the container; 20 points of part 2 are in no segment.
-    table = SegmentTable(scores=(0.9,), points=((-1, 2, 20), (0, -1, 5), (0, 0, 10), (0, 2, 30)))
-    assert table.overlap(0, 2) == 30 / 65
-    assert table.overlap(0, 0) == 10 / 45
-    assert table.overlap(0, 1) == 0.0
-
-
 @pytest.mark.parametrize("point", [(1, 0, 5), (-2, 0, 5), (0, -2, 5), (0, 0, 0)])
 def test_points_of_a_segment_that_does_not_exist_are_refused(point: tuple[int, int, int]) -> None:
     with pytest.raises(ValueError, match=r"points must be .* with a segment from -1 to 0, got \("):
@@ -170,6 +162,20 @@ def test_the_overlap_is_that_of_the_segment_in_which_the_pose_was_found() -> Non
     assert record.explained is not None
     assert len(record.explained.scores) == 1
     assert record.ms == {"boundary": 20.0, "segmentation": 60.0}
+
+
+def test_the_overlap_of_a_pose_in_what_another_left_over_is_that_of_these_points() -> None:
+    ids = np.full(320, -1)
+    ids[:100], ids[100:200] = 0, 1
+    view = labelled_capture(FRACTIONS, ids)
+    merged, remainder = list(range(200)), list(range(110, 200))
+    seen = observed(view, [merged, remainder], [candidate(view, 0), candidate(view, 1)])
+    assert seen.perception is not None
+    perception = replace(seen.perception, segments=seen.perception.segments[:1])
+    record = record_frame(0, view, replace(seen, perception=perception))
+    assert [each.overlap for each in record.candidates] == [100 / 200, 90 / 100]
+    assert record.segments is not None
+    assert len(record.segments.scores) == 1
 
 
 def test_a_segment_with_an_iou_of_half_is_good() -> None:
