@@ -89,10 +89,11 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
 
     ## Episode end
     Terminates when no part is left in play (`empty`), after `max_failures` consecutive failures (`2F`), and when two
-    consecutive frames have no candidate (`abstained`); the second frame has fresh sensor noise. If the first two frames
-    of a bin have none, `reset` returns an empty mask, because Gymnasium cannot end an episode there; whatever the first
-    action is, nothing moves, the reward is 0 and the episode terminates. Truncates after 200 steps, or when the cell
-    has used up its 12 000 control steps (`time`).
+    consecutive frames have no candidate (`abstained`). The second frame has fresh sensor noise, and poses that are
+    likely but not verified are candidates as well. If the first two frames of a bin have no candidate, `reset` returns
+    an empty mask, because Gymnasium cannot end an episode there; whatever the first action is, nothing moves, the
+    reward is 0 and the episode terminates. Truncates after 200 steps, or when the cell has used up its 12 000 control
+    steps (`time`).
 
     ## Info
     `action_mask` ((32,) int8), `outcome` (a `GraspOutcome`; an `Abstention` if no motion was found; `abstained` for an
@@ -311,7 +312,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
 
     def _retake_frame(self) -> None:
         self._retaken = True
-        self.cell.look()
+        self.cell.look(likely=True)
         self._generate()
 
     def _generate(self) -> None:

@@ -196,15 +196,17 @@ def test_the_cells_time_truncates(env: GraspSelectionEnv, monkeypatch: pytest.Mo
 
 @dataclass
 class Intermittent:
-    """The oracle on the listed frames and no part on the others; frames are counted."""
+    """The oracle on the listed frames and no part on the others; frames and requests for likely ones are counted."""
 
     frames_with_parts: tuple[int, ...]
     count: int = 0
     frames: list[Floats] = field(default_factory=list)
+    likely: list[bool] = field(default_factory=list)
 
     def perceive(self, view: LabelledCapture, rng: np.random.Generator, *, likely: bool = False) -> ObservedCandidates:
         self.count += 1
         self.frames.append(view.capture.frame.depth)
+        self.likely.append(likely)
         return OraclePerceiver().perceive(view, rng) if self.count in self.frames_with_parts else ObservedCandidates()
 
 
@@ -217,6 +219,7 @@ def test_a_frame_without_parts_is_followed_by_one_with_fresh_noise(
     assert (perceiver.count, info["frame_id"]) == (2, 1)
     assert observation["mask"].any()
     assert np.any(perceiver.frames[0] != perceiver.frames[1])
+    assert perceiver.likely == [False, True]  # as in `run_bin`
     unexecuted(env, monkeypatch, MISSED)
     assert step(env, 0)[4]["t_sense"] == 1.0  # both frames were for this decision
     assert perceiver.count == 2  # no motion, no frame: a frame is processed once
