@@ -126,6 +126,8 @@ def _header(entries: dict[str, list[str]], start: int, name: str) -> PcdHeader:
     points = int(entries.get("POINTS", [str(width * height)])[0])
     if points != width * height:
         raise ValueError(f"{name}: POINTS must be WIDTH x HEIGHT = {width} x {height}, got {points}")
+    if min(width, height) < 0 or min(counts) < 1:
+        raise ValueError(f"{name}: WIDTH and HEIGHT must be 0 or more and each COUNT 1 or more, got {entries}")
     data = entries["DATA"][0]
     if data not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"{name}: DATA must be ascii, binary or binary_compressed, got {data!r}")

@@ -90,7 +90,7 @@ def _ascii(header: PlyHeader, body: bytes, name: str) -> tuple[Columns, NDArray[
         end = at + element.count * len(element.properties)
         _require(name, element, end <= len(words))
         if element.name == "vertex":
-            table = np.array(words[at:end], np.float64).reshape(element.count, -1)
+            table = np.array(words[at:end], np.float64).reshape(element.count, len(element.properties))
             for column, (key, kind) in enumerate(element.properties):
                 numbers = table[:, column]
                 vertices[key] = (np.nan_to_num(numbers) if kind[0] in "iu" else numbers).astype(kind)

@@ -89,6 +89,8 @@ def _elements(lines: list[list[str]], name: str) -> list[PlyElement]:
         unknown = sorted({line[-2] for line in given} - set(TYPES))
         if unknown:
             raise ValueError(f"{name}: a property's type must be one of {sorted(TYPES)}, got {unknown}")
+        if int(words[2]) < 0:
+            raise ValueError(f"{name}: the count of an element must be 0 or more, got {words[2]} of {words[1]}")
         elements.append(
             PlyElement(
                 name=words[1],

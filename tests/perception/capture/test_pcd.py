@@ -136,6 +136,8 @@ def test_files_of_older_versions_have_fewer_lines(tmp_path: Path) -> None:
         ({"POINTS": "47"}, "POINTS must be WIDTH x HEIGHT = 8 x 6, got 47"),
         ({"DATA": "zip"}, "DATA must be ascii, binary or binary_compressed, got 'zip'"),
         ({"VIEWPOINT": "0 0 0 0 0 0 0"}, "VIEWPOINT must be tx ty tz qw qx qy qz with a quaternion"),
+        ({"WIDTH": "-8", "POINTS": "-48"}, "WIDTH and HEIGHT must be 0 or more and each COUNT 1 or more, got"),
+        ({"COUNT": "0 1 1"}, "WIDTH and HEIGHT must be 0 or more and each COUNT 1 or more, got"),
         ({"WIDTH": " "}, "each line of the header must have a value"),
     ],
 )

@@ -109,6 +109,7 @@ INDICES = "element range_grid {}\nproperty list uchar int vertex_indices\n"
             header("ascii", "element vertex 1\nproperty float x\nproperty list uchar int n\n"),
             "a list must be the only property of its element, with a length of one byte, got .* in vertex",
         ),
+        (header("binary_little_endian", vertex_element(-1)), "count of an element must be 0 or more, got -1 of vertex"),
         (header("ascii", vertex_element(2)) + b"1 2 3", "must hold 2 of vertex, but ends early"),
         (header("binary_big_endian", ONE) + b"1 2 3", "must hold 1 of vertex, but ends early"),
         (header("ascii", ONE + INDICES.format(3)) + b"1 2 3 0", "must hold 3 of range_grid, but ends early"),
@@ -122,3 +123,8 @@ INDICES = "element range_grid {}\nproperty list uchar int vertex_indices\n"
 def test_damaged_files_are_refused(tmp_path: Path, content: bytes, text: str) -> None:
     with pytest.raises(ValueError, match=text):
         read_ply(written(tmp_path / "a.ply", content))
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_cloud_without_points_is_empty(tmp_path: Path, form: str) -> None:
+    assert read_ply(written(tmp_path / "a.ply", header(form, vertex_element(0), ""))).points.shape == (1, 0, 3)
