@@ -20,7 +20,8 @@ def crop_frame(frame: Frame, u0: int, v0: int, width: int, height: int) -> Frame
         height: Rows kept.
 
     Raises:
-        ValueError: The rectangle does not lie in the image.
+        ValueError: The rectangle does not lie in the image, or the principal point lies outside the rectangle by more
+            than its size.
     """
     require_inside((u0, v0, width, height), (frame.depth.shape[1], frame.depth.shape[0]))
     K = frame.K.copy()

@@ -21,9 +21,10 @@ class PoseEstimate:
         score_drop: Smallest decrease of the logit when the part is rotated a little; infinite if the part's symmetry
             undoes every such rotation.
         size: Number of boundary points of the group after thinning.
-        surface_score: Score that the pose would have if other poses with nearly the same surface did not count against
-            it, in [0, 1]; at least ``score``. It ranks poses to grasp by, not to measure by: a screw whose turn about
-            its axis cannot be seen can still be picked.
+        surface_score: Score that the pose would have if neither its score drop nor other poses with nearly the same
+            surface counted against it, in [0, 1]; with the coefficients of the default configuration at least
+            ``score``. It tells which poses are likely enough to grasp at, and is no measure of their accuracy: a screw
+            whose turn about its axis cannot be seen can still be picked.
     """
 
     T_cam_part: Floats

@@ -17,6 +17,6 @@ class PickerSettings:
     approach_speed: float = 0.25  # share of the joints' velocity limit allowed on the straight approach
     carry_scale: float = 0.7  # share of velocity and acceleration limits used with a part in the jaw
     release_height: float = 0.03  # height of the carried part's lowest point above the tray's floor at the release
-    # gap of the unloaded jaw whose control tells an empty jaw from one that holds a part: the closing force bends the
-    # linkage, so that a plate of 3 mm reads 1 mm and an empty jaw reads -1 mm
+    # Distance between the pads under which the jaw holds nothing, as read from the jaw's position. The closing force
+    # bends the linkage: with a plate of 3 mm the position reads 1 mm, and -1 mm with nothing.
     empty_gap: float = 0.0

@@ -48,3 +48,9 @@ def test_a_cropped_frame_shows_the_same_points(frame: Frame) -> None:
 def test_a_crop_beside_the_image_is_refused(frame: Frame, crop: tuple[int, int, int, int]) -> None:
     with pytest.raises(ValueError, match="must lie in the image of 8 x 6 pixels, got"):
         crop_frame(frame, *crop)
+
+
+def test_a_crop_far_from_the_optical_axis_is_refused(frame: Frame) -> None:
+    assert crop_frame(frame, 0, 0, 2, 2).depth.shape == (2, 2)
+    with pytest.raises(ValueError, match=r"principal point \(.*\) px lies outside the image of 1 x 1 px by more than"):
+        crop_frame(frame, 0, 0, 1, 1)

@@ -44,6 +44,13 @@ def test_a_shift_within_the_distance_leaves_the_surface(shift: float, same: bool
     assert SAME.of(T, np.array([other]))[0] or not same
 
 
+@pytest.mark.parametrize(("share", "same"), [(0.15, True), (0.2, False)])
+def test_a_slim_rod_may_shift_along_its_axis(share: float, same: bool) -> None:
+    surface = surface_model(PartModel.from_mesh("rod", trimesh.creation.cylinder(0.004, 0.08, sections=48)))
+    shifted = make_transform(translation=(0.0, 0.0, share * surface.d_max))
+    assert SameSurface(surface).of(np.eye(4), shifted[None]).tolist() == [same]
+
+
 def test_a_face_that_looks_the_other_way_is_another_one() -> None:
     """A thin plate that is moved by its thickness has its back where its front was."""
     thickness = 0.002
