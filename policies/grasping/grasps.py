@@ -231,7 +231,8 @@ def _contact_scale(mesh: trimesh.Trimesh, settings: GraspSettings) -> float:
 def _shallow(found: GraspSet, mesh: trimesh.Trimesh, settings: GraspSettings) -> NDArray[np.bool_]:
     """Return the (N,) mask of grasps that pick a thin part off the floor on which it lies flat; none if it is not thin.
 
-    They have less contact than deeper ones, and would otherwise be thinned out in their favour.
+    They have less contact than deeper ones, and would otherwise be thinned out in their favour. Only the two poses on
+    the broadest sides of the least bounding box count, so that of a thin rod just two of its resting poses do.
     """
     box = mesh.bounding_box_oriented.primitive
     thinnest = int(np.argmin(box.extents))
