@@ -112,7 +112,7 @@ class PoseEstimator:
             boundary: All boundary points of the frame; with none there are no poses.
             instances: Groups of these points, each of one part.
             frame: Depth image and camera that the points are from.
-            beside: Poses of other parts, which no pose may collide with.
+            beside: Poses of other parts, which no pose may collide with. Poses like them are found all the same.
 
         Raises:
             ValueError: There are groups, but the frame has no depth.
@@ -137,7 +137,7 @@ class PoseEstimator:
             boundary: All boundary points of the frame.
             instances: Groups of these points, each of one part.
             frame: Depth image and camera that the points are from.
-            beside: Poses of other parts, which no pose may collide with.
+            beside: Poses of other parts, which no pose may collide with. Poses like them are found all the same.
 
         Raises:
             ValueError: There are groups, but the frame has no depth.
@@ -180,16 +180,18 @@ class PoseEstimator:
             frame: Depth image and camera that the points are from.
 
         Returns:
-            The groups of points that are left over, possibly none, and the pose of each. ``instance_idx`` counts on
-            from the last of ``instances``.
+            The groups of points that are left over, possibly none, and the pose of each; None where no pose is found,
+            or only that of a part that ``estimates`` hold with at least its score. ``instance_idx`` counts on from the
+            last of ``instances``.
         """
         groups = leftover_groups(boundary, instances, estimates, self.surface, self.config.leftovers)
         if not groups:
             return [], []
         sure = [e for e in estimates if e is not None and e.score >= self.config.min_score]
         found = self.estimate_groups(boundary, groups, frame, beside=sure)
+        new = [None if e is None or self._repeats(e, sure) else e for e in found]
         first = len(instances)
-        return groups, [None if e is None else replace(e, instance_idx=first + e.instance_idx) for e in found]
+        return groups, [None if e is None else replace(e, instance_idx=first + e.instance_idx) for e in new]
 
     def estimate_scene(self, boundary: BoundaryCloud, frame: Frame) -> list[PoseEstimate]:
         """Return the verified poses of a whole scene without groups, best first: PPF-MEAM without segmentation.
@@ -252,6 +254,11 @@ class PoseEstimator:
         if self.body.overlap(T_cam_a, T_cam_b, bodies.depth * self.part.d_max) <= bodies.overlap:
             return False
         return not are_alike(T_cam_a, T_cam_b[None], self.part, self.config.clusters)[0]
+
+    def _repeats(self, estimate: PoseEstimate, others: Sequence[PoseEstimate]) -> bool:
+        """Return whether a pose is like one of the others that has at least its score."""
+        poses = np.array([other.T_cam_part for other in others if other.score >= estimate.score]).reshape(-1, 4, 4)
+        return bool(are_alike(estimate.T_cam_part, poses, self.part, self.config.clusters).any())
 
     def _index(self, boundary: BoundaryCloud) -> BoundaryIndex:
         return index_boundary(boundary.points_cam, boundary.tangents_cam, self.part.d_max)

@@ -174,6 +174,22 @@ def test_two_blocks_in_one_group_are_both_found() -> None:
     assert len(seen.instances) >= 2
 
 
+def test_a_part_is_not_found_again_in_what_its_pose_leaves_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    boundary = extract_boundary(FRAME, BIN)
+    idx = np.flatnonzero(owners(boundary, *POSES) == 0)
+    group, half = (Instance(point_idx=points, score=1.0) for points in (idx, idx[: len(idx) // 2]))
+    (sure,) = ESTIMATOR.estimate_groups(boundary, [group], FRAME)
+    assert sure is not None
+    monkeypatch.setattr("perception.pose.estimator.leftover_groups", lambda *_: [half])
+    assert ESTIMATOR.estimate_leftovers(boundary, [group], [sure], FRAME) == ([half], [None])
+    doubtful = replace(sure, score=ESTIMATOR.config.min_score)
+    _, (again,) = ESTIMATOR.estimate_leftovers(boundary, [group], [doubtful], FRAME)
+    assert again is not None  # it is better than what it repeats
+    assert again.instance_idx == 1
+    assert again.score > doubtful.score
+    assert ESTIMATOR.verified([doubtful, again]) == [again]
+
+
 def test_nothing_comes_of_nothing() -> None:
     dark = Frame(grey=FRAME.grey, depth=np.zeros_like(FRAME.depth), K=FRAME.K, T_world_cam=FRAME.T_world_cam)
     for frame in (photographed(), dark):
