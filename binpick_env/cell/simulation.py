@@ -14,7 +14,7 @@ from binpick_env.config import CONTROL_PERIOD, CellConfig
 from binpick_env.parts.part import Part
 from perception.geometry import Floats, make_transform, matrix_from_quat, quat_from_matrix
 
-ARENA = 128 << 20  # memory of a state for contacts and constraints [bytes]
+ARENA = 512 << 20  # memory of a state for contacts and constraints [bytes]
 _JAW_REST = 1.0  # time after which the jaw's linkage is at rest under a new command [s]
 
 
@@ -59,8 +59,9 @@ class Simulation:
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         # MuJoCo would silently reset a diverged state to the model's own start; it has to stay visible instead.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        # Noslip's matrix over a dense heap of 400 contacts exceeds MuJoCo's 18 MB, which is fatal. Unused memory is
-        # never paged in.
+        # Noslip's matrix over a dense heap of 400 contacts exceeds MuJoCo's 18 MB, and 28 falling gears of 8 pieces
+        # exceeded 128 MB: contacts are then left out, which is fatal beside sleeping parts. Unused memory is never
+        # paged in.
         spec.memory = ARENA
         spec.option.sleep_tolerance = config.contact.sleep_tolerance
         self.model: mujoco.MjModel = spec.compile()

@@ -153,3 +153,8 @@ def test_every_setting_is_tested() -> None:
         inner = field.name not in ("camera", "timestep")
         names |= {f"{field.name}.{f.name}" for f in fields(value)} if inner else {field.name}
     assert names == {name.split(",")[0] for name in SETTINGS} | ELSEWHERE
+
+
+def test_there_is_memory_for_the_contacts_of_a_dense_pile() -> None:
+    """28 gears of 8 pieces each overran 128 MB while they fell, and the step after that failed."""
+    assert small_simulation().model.narena >= 512 << 20
