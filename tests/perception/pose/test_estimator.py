@@ -256,7 +256,7 @@ def test_a_group_too_small_for_a_pair_has_no_pose() -> None:
 
 def test_an_empty_scene_has_no_poses() -> None:
     nothing = [Instance(point_idx=np.arange(0), score=1.0)] * 2
-    blind = at.framed(np.zeros((6, 8), np.float32))
+    blind = at.framed(np.zeros((60, 80), np.float32))
     for frame in (SEEN.frame, blind):
         assert ESTIMATOR.estimate_groups(EMPTY, nothing, frame) == [None, None]
         assert ESTIMATOR.estimate(EMPTY, nothing, frame) == []
