@@ -305,7 +305,7 @@ def test_a_bad_pose_is_refused() -> None:
 
 
 def test_a_frame_without_depth_is_refused() -> None:
-    empty = at.framed(np.zeros((6, 8), np.float32))
+    empty = at.framed(np.zeros((60, 80), np.float32))
     with pytest.raises(ValueError, match="the frame must have a depth somewhere"):
         refine_surface(LEANING, SURFACE, empty)
 

@@ -301,7 +301,7 @@ def test_a_bad_pose_and_an_empty_frame_are_refused() -> None:
     with pytest.raises(ValueError, match=r"T_cam_part must be \(4, 4\)"):
         edge_scores(LEANING[:3], MODEL, observed(SEEN, GROUP), CONFIG)
     with pytest.raises(ValueError, match="the frame must have a depth somewhere"):
-        verify(LEANING, MODEL, SURFACE, observed(at.framed(np.zeros((6, 8), np.float32)), GROUP))
+        verify(LEANING, MODEL, SURFACE, observed(at.framed(np.zeros((60, 80), np.float32)), GROUP))
 
 
 @pytest.mark.parametrize(
