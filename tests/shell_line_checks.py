@@ -48,6 +48,17 @@ class Line:
         return [line.split("  ")[0] for line in self.shown.splitlines()]
 
 
+def check_perceive(line: Line) -> None:
+    args = line.args
+    assert line.shown.count("no part was found: there are no boundary points") == len(args.frames)
+    assert line.shown.count("no bin limits the poses") == (len(args.frames) if args.no_bin else 0)
+    if args.json is not None:
+        assert [frame["poses"] for frame in json.loads(args.json.read_text())["frames"]] == [[] for _ in args.frames]
+    for folder in (args.overlay, args.out):
+        if folder is not None:
+            assert all((folder / f"{path.stem}_poses.png").exists() for path in args.frames)
+
+
 def check_pick(line: Line) -> None:
     args = line.args
     if Path(args.part).suffix:
@@ -244,6 +255,7 @@ TINY = {
     "pick": Tiny(options={**BINS, "--video-limit": 1}, check=check_pick),
     "assess": Tiny(options={**BINS, "--scenes": 1, "--workers": 1}, check=check_assess),
     "compare": Tiny(options={}, check=check_compare),
+    "perceive": Tiny(options={}, check=check_perceive),
     "generate-scenes": Tiny(options=SCENES, check=check_generate_scenes),
     "train-segmentation": Tiny(
         options={

@@ -1,15 +1,20 @@
 """Every shell line of README and site runs on tiny settings, page by page, and does what the page says."""
 
 import importlib
+import json
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
+from perception.capture import write_frame
+from perception.frame import Frame
+from perception.geometry import make_transform
 from perception.segmentation import weights
 from policies.commands.command_line import parse
 from policies.commands.registry import COMMANDS
@@ -19,6 +24,7 @@ from tests.shared_models import share_models, share_shaded_meshes
 from tests.shell_line_checks import TINY, Line
 
 BLOCK = (50, 30, 20)  # sides of the part of one's own [mm]
+EMPTY_BINS = ("bin_01", "bin_02")  # frames that the pages perceive
 Story = list[list[str]]  # calls of binpick, without that word
 DEPEND_ON_RESULTS = (
     "over bins", "attempts by outcome", "failed attempts by stage", "abstentions by reason", "bins by their end",
@@ -43,6 +49,14 @@ ELSEWHERE = {  # other shell lines, and what runs them
     "python -m pip install -e .[viz]": "`make setup` installs all extras",
     "rerun bin.rrd": "it opens a window; the recording is read here",
 }
+
+
+def empty_bin(k: int) -> Frame:
+    """Return the frame of a camera over an empty bin; another one for each number."""
+    K = np.array([[800.0, 0, 159.5], [0, 800.0, 119.5], [0, 0, 1]])
+    T_world_cam = make_transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, 0.9))
+    grey, depth = np.full((240, 320), 120 + k, np.uint8), np.full((240, 320), 0.9, np.float32)
+    return Frame(grey=grey, depth=depth, K=K, T_world_cam=T_world_cam)
 
 
 def made_by(target: str) -> list[list[str]]:
@@ -100,6 +114,9 @@ def run_story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[St
         folder = tmp_path_factory.mktemp("story")
         (folder / "path" / "to").mkdir(parents=True)
         trimesh.creation.box(BLOCK).export(folder / "path" / "to" / "part.stl")
+        for k, name in enumerate(EMPTY_BINS):
+            write_frame(empty_bin(k), folder / f"{name}.json")
+        (folder / "cell.json").write_text(json.dumps({"T_world_bin": np.eye(4).tolist()}))
         calls = [tuple(tiny(words)) for words in story]
         for words in calls:
             if words not in done:

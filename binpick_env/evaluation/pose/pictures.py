@@ -56,7 +56,7 @@ def outlines(record: PoseRecord, score: PoseSceneScore, edges: SeenEdges) -> Pic
     ):
         for T in poses:
             # A pixel of the picture is the mean of step x step pixels of the image, whose centres are at integers.
-            _draw(picture, (outline(T, edges, record.K, record.corner) - (step - 1) / 2) / step, colour)
+            draw_strokes(picture, (outline(T, edges, record.K, record.corner) - (step - 1) / 2) / step, colour)
     return picture
 
 
@@ -79,7 +79,7 @@ def outline(T_cam_part: Floats, edges: SeenEdges, K: Floats, corner: Sequence[in
     return pixels.reshape(-1, 2, 2)
 
 
-def _draw(picture: Picture, strokes: Floats, colour: tuple[int, int, int]) -> None:
+def draw_strokes(picture: Picture, strokes: Floats, colour: tuple[int, int, int]) -> None:
     """Draw strokes into the picture."""
     fixed = np.rint(strokes * (1 << _FRACTION)).astype(np.int32)
     cv2.polylines(picture, list(fixed), False, colour, 1, cv2.LINE_AA, _FRACTION)

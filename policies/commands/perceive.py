@@ -1,0 +1,163 @@
+"""``binpick perceive``: the poses of a part in frames of a real camera, and why some are lost."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from binpick_env.parts.unit import Unit
+from policies.commands.command_line import exit_code, parse
+
+if TYPE_CHECKING:
+    from perception.frame import Workspace
+    from policies.frames import FrameJob, FrameOutcome, FrameSource
+
+UNREAD = 1  # exit code where a frame could not be read
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Find the poses of a part in frames of your camera, and say why some are lost.
+
+    State the bin by --bin and --bin-pose, or search everything by --no-bin. Exit codes: 0 if every frame was read, also
+    where no part was found; 1 if one could not be read; 2 for options that have no meaning.
+    """
+
+    # depth images (16-bit PNG or TIFF, EXR, NPY), clouds (PCD, PLY, NPZ) or frames that write_frame wrote
+    frames: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    # part_a, part_b, part_c, tee, bracket, generated:FAMILY:INDEX, or the path of an STL, OBJ, PLY, OFF, GLB, 3MF or
+    # STEP file
+    part: str
+    unit: Unit | None = None  # length unit of a part file's coordinates; metres or millimetres, guessed, unless given
+    symmetry: Literal["detect", "none"] = "detect"  # rotational symmetry of a part file; none: ignore it
+    # largest deviation of a part file's surface from itself under a symmetry [m]; 0.5 % of its diameter unless given
+    symmetry_tolerance: float | None = None
+    # length, width, height inside the bin [m], or one word in mm such as 360x260x120
+    bin: tuple[float, float, float] | None = None
+    # pose of the bin in the world: 16 numbers row by row, or a JSON file of them; its origin is the centre of the inner
+    # floor, z up, and the world is the camera's frame (z forward) where no camera pose is known
+    bin_pose: tuple[str, ...] | None = None
+    no_bin: tyro.conf.FlagCreatePairsOff[bool] = False  # search everything within the depths of the frame
+    # pose of the camera in the world (x right, y down, z forward): 16 numbers row by row, or a JSON file of them; that
+    # of the frame's file, or the identity, unless given
+    camera_pose: tuple[str, ...] | None = None
+    # file of the calibration (RealSense, Azure Kinect, Open3D, BOP, OpenCV, ROS); that of the frame's file unless given
+    calibration: Path | None = None
+    # grey or colour image, registered to the depth; {stem} stands for the name of the frame's file
+    grey: str | None = None
+    # length of one unit of depth [m]; as the calibration says, or mm in integer images and m elsewhere, unless given
+    depth_scale: float | None = None
+    # stored depths that mean "no measurement"; 0, and 65535 in integers, unless given
+    missing: tuple[float, ...] | None = None
+    # how the image's size relates to the calibrated one: equal, or scaled as a whole
+    fit: Literal["same", "scale"] = "same"
+    axes: Literal["opencv", "opengl"] = "opencv"  # axes of a cloud: y down and z forward, or y up and z backward
+    grid: tuple[int, int] | None = None  # columns and rows of an organised cloud whose file does not state them
+    project: bool = False  # project an organised cloud into the stated camera, as unorganised ones are
+    crop: tuple[int, int, int, int] | None = None  # part of the image to keep: u0, v0, width, height [px]
+    quarter_turns: int = 0  # anticlockwise quarter turns of the image, after the crop
+    json: Path | None = None  # JSON file for all frames
+    overlay: Path | None = None  # folder of a PNG file for each frame, with the outlines of the parts found
+    # folder of a JSON and a PNG file for each frame; frames whose files are there are skipped
+    out: Path | None = None
+
+    def workspace(self) -> "Workspace | None":
+        """Return the bin; None without one.
+
+        Raises:
+            FileNotFoundError: The file of its pose does not exist.
+            ValueError: Neither a bin nor --no-bin is given, or both, or a value has no meaning.
+        """
+        import numpy as np
+
+        from perception.frame import Workspace
+        from policies.frames import parse_pose
+
+        if self.no_bin:
+            if self.bin is not None or self.bin_pose is not None:
+                raise ValueError("state the bin by --bin and --bin-pose, or none by --no-bin, but not both")
+            return None
+        if self.bin is None or self.bin_pose is None:
+            raise ValueError(
+                "the bin must be known: give --bin LENGTHxWIDTHxHEIGHT [mm] and --bin-pose, or --no-bin to search all"
+            )
+        return Workspace(T_world_bin=parse_pose(self.bin_pose, "T_world_bin"), inner_size=np.array(self.bin))
+
+    def source(self) -> "FrameSource":
+        """Return how the frames are read.
+
+        Raises:
+            FileNotFoundError: The file of the calibration or of the camera's pose does not exist.
+            ValueError: A value has no meaning.
+        """
+        from perception.capture import ReadOptions
+        from policies.frames import FrameSource, parse_pose
+
+        if self.calibration is not None and not self.calibration.exists():
+            raise FileNotFoundError(f"there is no calibration {self.calibration}")
+        return FrameSource(
+            grey=self.grey,
+            calibration=self.calibration,
+            T_world_cam=None if self.camera_pose is None else parse_pose(self.camera_pose, "T_world_cam"),
+            options=ReadOptions(
+                scale=self.depth_scale,
+                missing=self.missing,
+                fit=self.fit,
+                axes=self.axes,
+                grid=self.grid,
+                project=self.project,
+                crop=self.crop,
+                quarter_turns=self.quarter_turns,
+            ),
+        )
+
+    def job(self) -> "FrameJob":
+        """Return which frames are perceived, and where the results are kept."""
+        from policies.frames import FrameJob
+
+        return FrameJob(paths=self.frames, source=self.source(), out=self.out, overlay=self.overlay)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read the options and perceive; return the exit code."""
+    return run(parse(Arguments, "perceive", arguments))
+
+
+def run(args: Arguments) -> int:
+    """Perceive the frames; return the exit code."""
+    from perception.segmentation.weights import WeightsError
+
+    stopped = "stopped" if args.out is None else f"stopped; the same command resumes in {args.out}"
+    outcomes: list[FrameOutcome] = []
+    code = exit_code(lambda: _perceive(args, outcomes), (ValueError, OSError, WeightsError), stopped)
+    unread = any(outcome.values is None for outcome in outcomes)
+    return UNREAD if code == 0 and unread else code
+
+
+def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
+    """Perceive the frames, print what becomes of each, and append it to ``outcomes``."""
+    import sys
+
+    from tqdm import tqdm
+
+    from binpick_env.parts import load_part
+    from policies.frames import FramePerceiver, perceive_frames, save_records
+
+    job, workspace = args.job(), args.workspace()
+    part = load_part(
+        args.part, unit=args.unit, symmetry=args.symmetry, symmetry_tolerance=args.symmetry_tolerance
+    ).model
+    perceiver = FramePerceiver(part, workspace)
+    with tqdm(total=len(job.paths), unit="frame", smoothing=0.02, disable=len(job.paths) < 2) as bar:
+        for outcome in perceive_frames(job, perceiver):
+            outcomes.append(outcome)
+            if outcome.values is None:
+                bar.write(f"error: {outcome.path}: {outcome.lines[0]}", file=sys.stderr)
+            else:
+                bar.write("\n".join(outcome.lines) + "\n", file=sys.stdout)
+            bar.update()
+    if args.json is not None:
+        save_records(args.json, outcomes)
+    return None if args.json is None else f"numbers   {args.json}"

@@ -1,0 +1,113 @@
+"""The perception of one part in frames, within a bin whose pose is known or without any."""
+
+import hashlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from perception.boundary import BoundarySettings
+from perception.diagnosis import CauseName
+from perception.frame import Frame, Workspace
+from perception.geometry import make_transform, rotation_about
+from perception.part import PartModel
+from perception.pipeline import Perception, Pipeline
+from perception.pose.estimator import PoseEstimator
+from perception.segmentation.predictor import SegmentationPredictor
+from perception.segmentation.weights import find_weights
+
+FARTHEST = 20.0  # depth beyond which nothing is searched without a bin; no camera over parts measures it [m]
+NO_DEPTH = (0.5, 1.0)  # range that is searched in a frame without depth, where there is nothing to find [m]
+# What a diagnosis says about the bin, which is not there.
+ABOUT_BIN: frozenset[CauseName] = frozenset({"inner_size_unit", "bin_pose", "floor_height", "thin_part"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class UsedWeights:
+    """Weights of the segmentation network.
+
+    Attributes:
+        name: File name.
+        sha256: Digest of the file.
+        training: "own" if the network was trained on the part, "family" if on parts of its family, else "zero-shot".
+    """
+
+    name: str
+    sha256: str
+    training: str
+
+
+class FramePerceiver:
+    """Finds the poses of one part in frames.
+
+    Attributes:
+        part: Part that is searched for.
+        workspace: The bin; None if no bin limits the poses.
+        weights: Weights of the segmentation network.
+        predictor: Segmentation of boundary points.
+        estimator: Pose estimation of segments.
+    """
+
+    def __init__(self, part: PartModel, workspace: Workspace | None) -> None:
+        """Load the network and the models of the part, which take seconds the first time.
+
+        Args:
+            part: Part to search for.
+            workspace: The bin; None to search all that a frame measures.
+
+        Raises:
+            WeightsError: There are neither weights of the part nor for every part.
+            ValueError: The part does not fit into the bin.
+        """
+        if workspace is not None and part.d_max > (longest := float(np.linalg.norm(workspace.inner_size))):
+            raise ValueError(
+                f"the part must fit into the bin, got a part of {1000 * part.d_max:.4g} mm and a bin whose diagonal is "
+                f"{1000 * longest:.4g} mm: check --bin and --unit"
+            )
+        found = find_weights(part)
+        digest = hashlib.sha256(found.path.read_bytes()).hexdigest()
+        self.part, self.workspace = part, workspace
+        self.weights = UsedWeights(name=found.path.name, sha256=digest, training=found.training)
+        self.predictor = SegmentationPredictor.from_file(found.path, part=part)
+        self.estimator = PoseEstimator(part, workspace=workspace)
+
+    def perceive(self, frame: Frame) -> Perception:
+        """Return the poses in a frame; none where nothing is found.
+
+        Raises:
+            ValueError: No bin was given and the depth is no camera's over parts, or the part is too small in the image.
+        """
+        workspace = workspace_of_depth(frame) if self.workspace is None else self.workspace
+        seen = Pipeline(self.predictor, self.estimator, workspace).perceive(frame)
+        if self.workspace is None and seen.report is not None:
+            causes = tuple(cause for cause in seen.report.causes if cause.name not in ABOUT_BIN)
+            return replace(seen, report=replace(seen.report, causes=causes))
+        return seen
+
+
+def workspace_of_depth(frame: Frame) -> Workspace:
+    """Return the box of all that a frame measures, to search where no bin is known.
+
+    The box spans the whole image at the largest depth, and its z axis points at the camera. It is larger than the
+    measurements by the margin within which boundary points would count as the bin's own, so that none is lost.
+
+    Args:
+        frame: Frame of the camera.
+
+    Raises:
+        ValueError: The largest depth exceeds 20 m.
+    """
+    depths = frame.depth[frame.valid]
+    near, far = (float(depths.min()), float(depths.max())) if len(depths) else NO_DEPTH
+    if far > FARTHEST:
+        raise ValueError(
+            f"without a bin, depths must be at most {FARTHEST:g} m, got {far:.4g} m: set --depth-scale (0.001 for "
+            "millimetres) or name the values that mean no measurement by --missing"
+        )
+    margin = 2 * BoundarySettings().margin
+    height, width = frame.depth.shape
+    corners = far * (np.array([[0, 0], [width - 1, height - 1]]) - frame.K[:2, 2]) / np.diag(frame.K)[:2]
+    middle, size = corners.mean(axis=0), np.ptp(corners, axis=0)
+    over = rotation_about((1.0, 0.0, 0.0), np.pi)  # the bin's z axis points at the camera
+    T_cam_bin = make_transform(over, np.array([*middle, far + margin]))
+    inner_size = np.array([*(size + 2 * margin), far - near + 2 * margin])
+    return Workspace(T_world_bin=frame.T_world_cam @ T_cam_bin, inner_size=inner_size)

@@ -1,0 +1,179 @@
+"""Many frames, one after the other: bad files are reported, finished frames are kept and skipped."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from binpick_env.jobs.folder_config import ensure_same_config
+from perception.capture import ReadOptions, ReadReport, read_frame_with_report
+from perception.frame import Frame
+from perception.geometry import Floats
+from perception.runtime.files import json_text, write_atomically
+from perception.runtime.provenance import command_line, git_commit, versions
+from perception.shape import shape_signature
+from policies.frames.frame_perceiver import FramePerceiver
+from policies.frames.frame_record import VERSION, FrameRecord, Values, frame_lines
+from policies.frames.overlay import draw_poses, save_picture
+
+STEM = "{stem}"  # stands for the frame's file name without its suffix
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrameSource:
+    """How the frames of a camera are read."""
+
+    grey: str | None = None  # path of the grey images, with {stem} for the name of the frame's file; None: none
+    calibration: Path | None = None  # file of the calibration; None if the frames hold it
+    T_world_cam: Floats | None = None  # (4, 4) camera pose; None for the one that the files state, or the identity
+    options: ReadOptions = field(default_factory=ReadOptions)  # what the files do not say themselves
+
+    def read(self, path: Path) -> tuple[Frame, ReadReport]:
+        """Read a frame; see :func:`perception.capture.read_frame_with_report`."""
+        return read_frame_with_report(
+            path,
+            grey=None if self.grey is None else self.grey.replace(STEM, path.stem),
+            calibration=self.calibration,
+            T_world_cam=self.T_world_cam,
+            options=self.options,
+        )
+
+    def values(self) -> Values:
+        """Return what the results depend on, as JSON values."""
+        return {
+            "grey": self.grey,
+            "calibration": None if self.calibration is None else str(self.calibration),
+            "T_world_cam": None if self.T_world_cam is None else self.T_world_cam.tolist(),
+            **asdict(self.options),
+        }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrameJob:
+    """Which frames are perceived, and where the results are kept."""
+
+    paths: tuple[Path, ...]  # files of the frames
+    source: FrameSource  # how they are read
+    out: Path | None = None  # folder of a JSON and a PNG file for each frame; None keeps none
+    overlay: Path | None = None  # folder of a PNG file for each frame; None draws none
+
+    def __post_init__(self) -> None:
+        if not self.paths:
+            raise ValueError("at least one frame is required, got none: name its file after `binpick perceive`")
+        stems: dict[str, Path] = {}
+        for path in self.paths if self.out is not None or self.overlay is not None else ():
+            if path.stem in stems:
+                raise ValueError(
+                    f"the results of {stems[path.stem]} and {path} would have the same name {path.stem}: perceive them "
+                    "into folders of their own"
+                )
+            stems[path.stem] = path
+        if len(self.paths) > 1 and self.source.grey is not None and STEM not in self.source.grey:
+            raise ValueError(
+                f"several frames need a grey image each, got {self.source.grey!r}: write {STEM} for the frame's name"
+            )
+
+    def numbers(self, path: Path) -> Path | None:
+        """Return the JSON file of a frame."""
+        return None if self.out is None else self.out / f"{path.stem}_poses.json"
+
+    def pictures(self, path: Path) -> list[Path]:
+        """Return the PNG files of a frame."""
+        return [folder / f"{path.stem}_poses.png" for folder in (self.out, self.overlay) if folder is not None]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrameOutcome:
+    """What became of a frame.
+
+    Attributes:
+        path: File of the frame.
+        values: Record of the frame as JSON values; None if it could not be read.
+        lines: What to print about it; the error of a frame that could not be read.
+        resumed: Whether its results were there already.
+    """
+
+    path: Path
+    values: Values | None
+    lines: tuple[str, ...]
+    resumed: bool = False
+
+
+def perceive_frames(job: FrameJob, perceiver: FramePerceiver) -> Iterator[FrameOutcome]:
+    """Yield the outcome of each frame, once its files are written.
+
+    Args:
+        job: Frames and folders.
+        perceiver: Perception of the part.
+
+    Raises:
+        ValueError: The folder holds results of other options, another part or another network.
+    """
+    if job.out is not None:
+        ensure_same_config(job.out / "config.json", _configuration(job, perceiver), "poses")
+    for path in job.paths:
+        yield _stored(job, path) or _perceived(job, path, perceiver)
+
+
+def save_records(path: Path, outcomes: Sequence[FrameOutcome]) -> None:
+    """Write the records of frames, the frames that could not be read, and where they come from, as a JSON file."""
+    unread = [{"frame": str(each.path), "error": "\n".join(each.lines)} for each in outcomes if each.values is None]
+    values = {
+        "version": VERSION,
+        "frames": [each.values for each in outcomes if each.values is not None],
+        "unread": unread,
+        "command": command_line(),
+        "git_commit": git_commit(),
+        "versions": versions(),
+    }
+    write_atomically(path, json_text(values))
+
+
+def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver) -> FrameOutcome:
+    try:
+        frame, reading = job.source.read(path)
+        seen = perceiver.perceive(frame)
+    except (ValueError, OSError) as error:
+        return FrameOutcome(path=path, values=None, lines=(str(error),))
+    record = FrameRecord(path=path, frame=frame, reading=reading, seen=seen, perceiver=perceiver)
+    pictures = job.pictures(path)
+    if pictures:
+        picture = draw_poses(record)
+        for file in pictures:
+            save_picture(picture, file)
+    outcome = FrameOutcome(path=path, values=record.values(), lines=tuple(frame_lines(record)))
+    numbers = job.numbers(path)
+    if numbers is not None:  # last: with it, the frame is finished
+        save_records(numbers, [outcome])
+    return outcome
+
+
+def _stored(job: FrameJob, path: Path) -> FrameOutcome | None:
+    """Return the outcome of a frame whose files are all there; None if one is missing or damaged."""
+    numbers = job.numbers(path)
+    if numbers is None or not all(file.exists() for file in (numbers, *job.pictures(path))):
+        return None
+    try:
+        content: Any = json.loads(numbers.read_text())
+        (values,) = content["frames"]
+        found = sum(pose["verified"] for pose in values["poses"])
+    except (ValueError, KeyError, TypeError):
+        return None
+    if content.get("version") != VERSION:
+        return None
+    line = f"{path}: already there, {found} verified poses in {numbers}"
+    return FrameOutcome(path=path, values=values, lines=(line,), resumed=True)
+
+
+def _configuration(job: FrameJob, perceiver: FramePerceiver) -> Values:
+    part, workspace = perceiver.part, perceiver.workspace
+    return {
+        "part": part.name,
+        "shape": [round(value, 9) for value in shape_signature(part)],
+        "symmetry_order": str(part.symmetry.order),
+        "weights": perceiver.weights.sha256,
+        "T_world_bin": None if workspace is None else workspace.T_world_bin.tolist(),
+        "inner_size": None if workspace is None else workspace.inner_size.tolist(),
+        **job.source.values(),
+    }

@@ -1,0 +1,208 @@
+"""`binpick perceive` on ray-cast frames of two blocks, with a segmentation that knows the groups."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import binpick_env.parts
+from perception.capture import write_frame
+from perception.metrics.pose_errors import pose_error
+from perception.segmentation.predictor import SegmentationPredictor
+from policies.frames import frame_perceiver
+from tests.perception.block_scene import BIN, ELL, POSES, KnowingPredictor, photographed, true_groups
+from tests.perception.pose.estimator_scene import quick_estimator
+from tests.policies.commands.command_calls import run
+
+FRAME, EMPTY = photographed(*POSES), photographed()
+ESTIMATOR = quick_estimator(ELL)
+POSE = [f"{value:.12g}" for value in BIN.T_world_bin.ravel()]
+IN_BIN = ["--part", "ell.stl", "--bin", "400x300x100", "--bin-pose", *POSE]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder of two frames, where the part and its network are those of the blocks."""
+
+    def estimator(part: object, workspace: object) -> object:
+        assert part is ELL
+        monkeypatch.setattr(ESTIMATOR, "workspace", workspace)
+        return ESTIMATOR
+
+    monkeypatch.setattr(binpick_env.parts, "load_part", lambda *_, **__: SimpleNamespace(model=ELL), raising=False)
+    monkeypatch.setattr(SegmentationPredictor, "from_file", lambda *_, **__: KnowingPredictor(true_groups))
+    monkeypatch.setattr(frame_perceiver, "PoseEstimator", estimator)
+    write_frame(FRAME, tmp_path / "full.npz")
+    write_frame(EMPTY, tmp_path / "empty.json", scale=0.0001)
+    return tmp_path
+
+
+def frames_in(path: Path) -> list[dict[str, Any]]:
+    content = json.loads(path.read_text())
+    assert content["version"] == 1
+    assert {"command", "git_commit", "versions", "unread"} <= set(content)
+    frames: list[dict[str, Any]] = content["frames"]
+    return frames
+
+
+def test_poses_are_printed_and_written(folder: Path) -> None:
+    done = run("perceive", "full.npz", *IN_BIN, "--json", "full.json", "--overlay", "seen", cwd=folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    (frame,) = frames_in(folder / "full.json")
+    assert [pose["verified"] for pose in frame["poses"]] == [True, True]
+    scores = [pose["score"] for pose in frame["poses"]]
+    assert scores == sorted(scores, reverse=True)
+    for pose in frame["poses"]:
+        errors = [pose_error(np.array(pose["T_cam_part"]), T, ELL).translation for T in POSES]
+        assert min(errors) < 0.001
+        assert pose["T_world_part"] == pose["T_cam_part"]  # the camera's frame is the world
+    assert (frame["frame"], frame["part"]["name"], frame["weights"]["training"]) == ("full.npz", "ell", "zero-shot")
+    assert frame["K"] == FRAME.K.tolist()
+    np.testing.assert_allclose(frame["bin"]["T_world_bin"], BIN.T_world_bin, atol=1e-9)
+    assert frame["bin"]["inner_size"] == pytest.approx(BIN.inner_size)
+    assert frame["report"]["poses"]["found"] == 2
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("full.npz: depth image, 240 x 180 px, 100.0 % with depth, grey from image")
+    assert any(line.startswith("poses: 2 of 2 groups") for line in lines)
+    rows = [line.split() for line in lines if line.endswith("  yes")]
+    assert [row[0] for row in rows] == ["1", "2"]
+    assert [float(row[1]) for row in rows] == pytest.approx(scores, abs=0.0005)
+    assert float(rows[0][5]) == pytest.approx(1000 * frame["poses"][0]["T_cam_part"][0][3], abs=0.05)
+
+
+def test_the_outlines_lie_on_the_parts(folder: Path) -> None:
+    assert run("perceive", "full.npz", *IN_BIN, "--overlay", "seen", cwd=folder).returncode == 0
+    picture = cv2.imread(str(folder / "seen" / "full_poses.png"))
+    assert picture is not None
+    assert picture.shape == (180, 240, 3)
+    drawn = np.ptp(picture.astype(int), axis=2) > 60
+    part = FRAME.grey != 60
+    near = cv2.dilate(part.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert np.count_nonzero(drawn) > 200
+    assert np.mean(near[drawn]) > 0.98
+
+
+def test_the_cameras_pose_moves_the_poses_into_the_world(folder: Path) -> None:
+    T_world_cam = np.diag([1.0, -1.0, -1.0, 1.0])
+    T_world_cam[:3, 3] = 0.1, 0.2, 0.9
+    (folder / "cell.json").write_text(
+        json.dumps({"T_world_cam": T_world_cam.tolist(), "T_world_bin": (T_world_cam @ BIN.T_world_bin).tolist()})
+    )
+    options = ["--part", "ell.stl", "--bin", "400x300x100", "--bin-pose", "cell.json", "--camera-pose", "cell.json"]
+    assert run("perceive", "full.npz", *options, "--json", "full.json", cwd=folder).returncode == 0
+    (frame,) = frames_in(folder / "full.json")
+    assert frame["T_world_cam"] == T_world_cam.tolist()
+    assert len(frame["poses"]) == 2
+    for pose in frame["poses"]:
+        np.testing.assert_allclose(pose["T_world_part"], T_world_cam @ np.array(pose["T_cam_part"]), atol=1e-12)
+
+
+def test_without_a_bin_everything_is_searched(folder: Path) -> None:
+    options = ["--part", "ell.stl", "--no-bin", "--json", "full.json"]
+    done = run("perceive", "full.npz", "empty.json", *options, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("no bin limits the poses") == 2
+    full, empty = frames_in(folder / "full.json")
+    assert full["bin"] is None
+    assert sum(pose["verified"] for pose in full["poses"]) == 2
+    assert empty["poses"] == []
+    assert ESTIMATOR.workspace is None
+
+
+def test_only_what_lies_in_the_bin_is_searched(folder: Path) -> None:
+    beside = [*POSE]
+    beside[3] = "0.2"  # the bin begins between the blocks
+    options = ["--part", "ell.stl", "--bin", "400x300x100", "--bin-pose", *beside]
+    assert run("perceive", "full.npz", *options, "--json", "half.json", cwd=folder).returncode == 0
+    assert run("perceive", "full.npz", *IN_BIN, "--json", "full.json", cwd=folder).returncode == 0
+    (half,), (full,) = frames_in(folder / "half.json"), frames_in(folder / "full.json")
+    assert 0 < half["report"]["boundary_points"] < 0.7 * full["report"]["boundary_points"]
+    assert sum(pose["verified"] for pose in half["poses"]) <= 1
+
+
+def test_an_empty_bin_is_no_error_and_has_a_reason(folder: Path) -> None:
+    done = run("perceive", "empty.json", *IN_BIN, cwd=folder)
+    assert done.returncode == 0
+    assert "no part was found: there are no boundary points, as in an empty bin" in done.stdout
+
+
+def test_a_frame_without_parts_for_a_reason_is_no_error(folder: Path) -> None:
+    dark = replace(FRAME, depth=np.zeros_like(FRAME.depth))
+    write_frame(dark, folder / "dark.npz")
+    for options in (IN_BIN, ["--part", "ell.stl", "--no-bin"]):
+        done = run("perceive", "dark.npz", *options, cwd=folder)
+        assert done.returncode == 0
+        assert "likely cause: no pixel has a depth" in done.stdout
+        assert "no part was found: there are no boundary points; the likely causes stand above" in done.stdout
+
+
+def test_a_bad_file_is_told_and_does_not_stop_the_others(folder: Path) -> None:
+    (folder / "bad.npz").write_bytes(b"PK\x03\x04 nothing")
+    done = run("perceive", "bad.npz", "lost.npz", "full.npz", *IN_BIN, "--json", "all.json", cwd=folder)
+    assert done.returncode == 1
+    assert "error: bad.npz: " in done.stderr
+    assert "error: lost.npz: " in done.stderr
+    assert [frame["frame"] for frame in frames_in(folder / "all.json")] == ["full.npz"]
+    unread = json.loads((folder / "all.json").read_text())["unread"]
+    assert [each["frame"] for each in unread] == ["bad.npz", "lost.npz"]
+    assert all(each["error"] for each in unread)
+
+
+def test_a_folder_of_results_is_resumed_but_not_mixed(folder: Path) -> None:
+    call = ["full.npz", "empty.json", *IN_BIN, "--out", "found"]
+    assert run("perceive", *call, cwd=folder).returncode == 0
+    names = {f"{stem}_poses{suffix}" for stem in ("full", "empty") for suffix in (".json", ".png")}
+    assert {path.name for path in (folder / "found").iterdir()} == {*names, "config.json"}
+    first = (folder / "found" / "full_poses.json").read_bytes()
+    (folder / "found" / "empty_poses.json").write_text("{")
+    again = run("perceive", *call, "--json", "all.json", cwd=folder)
+    assert again.returncode == 0
+    assert "full.npz: already there, 2 verified poses in found/full_poses.json" in again.stdout
+    assert "empty.json: already there" not in again.stdout  # its file was damaged
+    assert (folder / "found" / "full_poses.json").read_bytes() == first
+    assert [len(frame["poses"]) for frame in frames_in(folder / "all.json")] == [2, 0]
+    other = run("perceive", "full.npz", *IN_BIN, "--depth-scale", "0.5", "--out", "found", cwd=folder)
+    assert other.returncode == 2
+    assert "holds poses of another configuration (scale: None there, 0.5 here)" in other.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ([], "the bin must be known: give --bin"),
+        (["--bin", "400x300x100"], "the bin must be known: give --bin"),
+        (["--no-bin", "--bin", "400x300x100"], "or none by --no-bin, but not both"),
+        (["--bin", "40x30x10", "--bin-pose", *POSE], "the part must fit into the bin, got a part of"),
+        (["--bin", "400x300x100", "--bin-pose", *POSE[:15]], "T_world_bin must be 16 numbers row by row, or one JSON"),
+        (["--bin", "400x300x100", "--bin-pose", *POSE[:15], "x"], "T_world_bin must be 16 numbers row by row, got"),
+        (["--bin", "400x300x100", "--bin-pose", "lost.json"], "T_world_bin: there is no file lost.json"),
+        (["--bin", "400x300x100", "--bin-pose", "full.npz"], "T_world_bin: full.npz is no JSON file"),
+        (["--bin", "400x300x100", "--bin-pose", "empty.json"], "T_world_bin: empty.json has no key 'T_world_bin'"),
+        (["--no-bin", "--calibration", "lost.json"], "there is no calibration lost.json"),
+        (["--no-bin", "--depth-scale", "-1"], "scale must be a positive length"),
+        (["--no-bin", "--grey", "one.png"], "several frames need a grey image each, got 'one.png'"),
+    ],
+)
+def test_options_without_a_meaning_are_refused(options: list[str], error: str, folder: Path) -> None:
+    done = run("perceive", "full.npz", "empty.json", "--part", "ell.stl", *options, cwd=folder)
+    assert done.returncode == 2
+    assert error in done.stderr
+
+
+def test_frames_of_the_same_name_are_refused_only_where_files_are_written(folder: Path) -> None:
+    write_frame(EMPTY, folder / "other" / "full.npz")
+    call = ["full.npz", "other/full.npz", *IN_BIN]
+    done = run("perceive", *call, "--overlay", "seen", cwd=folder)
+    assert done.returncode == 2
+    assert "the results of full.npz and other/full.npz would have the same name full" in done.stderr
+    assert run("perceive", *call, cwd=folder).returncode == 0
+
+
+def test_a_call_without_a_frame_is_refused(folder: Path) -> None:
+    done = run("perceive", *IN_BIN, cwd=folder)
+    assert done.returncode == 2

@@ -1,0 +1,53 @@
+"""The box that is searched where no bin is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from perception.boundary import extract_boundary, organised_points
+from perception.frame import Frame
+from perception.geometry import Floats, make_transform, random_rotation, transform_points
+from policies.frames import workspace_of_depth
+from tests.perception.block_scene import BIN, POSES, photographed
+
+FRAME = photographed(*POSES)
+
+
+def measured_world(frame: Frame) -> Floats:
+    v, u = np.nonzero(frame.valid)
+    return transform_points(frame.T_world_cam, organised_points(frame, np.column_stack([u, v])))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_box_holds_all_that_is_measured_from_any_camera(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    frame = replace(FRAME, T_world_cam=make_transform(random_rotation(rng), rng.normal(size=3)))
+    box = workspace_of_depth(frame)
+    assert box.contains(measured_world(frame), margin=0.005).all()
+    assert not workspace_of_depth(FRAME).contains(measured_world(frame)).all()
+
+
+def test_the_box_ends_just_behind_the_farthest_measurement_and_opens_towards_the_camera() -> None:
+    box = workspace_of_depth(FRAME)
+    far, near = FRAME.depth.max(), FRAME.depth[FRAME.valid].min()
+    assert box.T_world_bin[2, 3] == pytest.approx(far + 0.006)
+    assert box.T_world_bin[:3, 2].tolist() == pytest.approx([0, 0, -1])
+    assert box.inner_size[2] == pytest.approx(far - near + 0.012)
+
+
+def test_no_boundary_point_of_the_parts_is_lost() -> None:
+    known = {tuple(pixel) for pixel in extract_boundary(FRAME, BIN).pixels.tolist()}
+    found = {tuple(pixel) for pixel in extract_boundary(FRAME, workspace_of_depth(FRAME)).pixels.tolist()}
+    assert len(known) > 500
+    assert len(known - found) <= 0.01 * len(known)
+
+
+def test_a_frame_without_depth_has_a_box_too() -> None:
+    dark = replace(FRAME, depth=np.zeros_like(FRAME.depth))
+    assert np.all(workspace_of_depth(dark).inner_size > 0)
+
+
+def test_a_depth_in_millimetres_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"depths must be at most 20 m, got 56\d.* m: set --depth-scale"):
+        workspace_of_depth(replace(FRAME, depth=1000 * FRAME.depth))
