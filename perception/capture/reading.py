@@ -1,11 +1,12 @@
 """Frames from the files of real cameras."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from perception.capture.calibration import Calibration, require_pose
 from perception.capture.calibration_files import read_calibration
@@ -20,6 +21,7 @@ from perception.capture.undistortion import undistort
 from perception.frame import Frame
 
 PathLike = str | Path
+Matrix = NDArray[np.floating] | Sequence[Sequence[float]]
 SATURATED = 65535  # largest value of 16 bits, which many cameras store where they measured nothing
 FAR = 20.0  # median depth beyond which the unit is probably wrong; no camera over a bin measures it [m]
 _log = logging.getLogger(__name__)
@@ -29,8 +31,8 @@ def read_frame(
     path: PathLike,
     *,
     grey: PathLike | None = None,
-    calibration: Calibration | PathLike | ArrayLike | None = None,
-    T_world_cam: ArrayLike | None = None,
+    calibration: Calibration | PathLike | Matrix | None = None,
+    T_world_cam: Matrix | None = None,
     options: ReadOptions | None = None,
 ) -> Frame:
     """Read one frame of a real camera from a depth image or a point cloud.
@@ -62,8 +64,8 @@ def read_frame_with_report(
     path: PathLike,
     *,
     grey: PathLike | None = None,
-    calibration: Calibration | PathLike | ArrayLike | None = None,
-    T_world_cam: ArrayLike | None = None,
+    calibration: Calibration | PathLike | Matrix | None = None,
+    T_world_cam: Matrix | None = None,
     options: ReadOptions | None = None,
 ) -> tuple[Frame, ReadReport]:
     """Read one frame of a real camera, and say what the reading found and did.
@@ -105,7 +107,7 @@ def read_frame_with_report(
 
 
 def _calibration(
-    given: Calibration | PathLike | ArrayLike | None, content: Content, options: ReadOptions, path: Path
+    given: Calibration | PathLike | Matrix | None, content: Content, options: ReadOptions, path: Path
 ) -> Calibration | None:
     """Return the calibration, fitted to the size of the image; None if there is none."""
     grid = content.depth if content.depth is not None else content.cloud.points if content.cloud is not None else None
