@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from perception.geometry import Floats
+from perception.geometry import Floats, invert_transform
 from perception.pose.model.surface_models import SurfaceModel
 
 DISTANCE = 0.03  # largest distance of a moved sample from the surface, as a share of d_max
@@ -31,7 +31,7 @@ class SameSurface:
             T_cam_part: (4, 4) pose of the part in the camera frame.
             others: (K, 4, 4) poses to compare with it.
         """
-        motions = np.linalg.inv(T_cam_part) @ others
+        motions = invert_transform(T_cam_part) @ others
         return np.array([self._share(motion) >= SHARE for motion in motions], np.bool_)
 
     def _share(self, motion: Floats) -> float:
