@@ -26,6 +26,7 @@ def test_an_empty_bin_has_no_candidates(mode: str) -> None:
     assert (len(seen.boundary), seen.segments, seen.poses, seen.estimates) == (0, [], [], [])
 
 
+@pytest.mark.slow
 def test_parts_in_the_tray_and_in_the_gripper_are_none() -> None:
     env = cell()
     env.reset(seed=31)

@@ -41,6 +41,7 @@ def test_gymnasiums_checker(obs_mode: str) -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("render_mode", ["rgb_array", "depth_array"])
 @pytest.mark.filterwarnings(f"ignore:{GYM_NORMALISED}:UserWarning")
 def test_gymnasiums_checker_renders(render_mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -156,6 +157,7 @@ def differ(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> bool:
     return any(np.any(first[key] != second[key]) for key in first)
 
 
+@pytest.mark.slow
 def test_two_copies_stay_equal() -> None:
     """Bit for bit through a rollout, although one of them has another episode behind it."""
     first, second = small_env(), small_env()
@@ -213,6 +215,7 @@ def test_a_loaded_part_is_pickled_with_its_env() -> None:
     assert_same(env.reset(seed=0)[0], copy.reset(seed=0)[0])
 
 
+@pytest.mark.slow
 def test_help_works_after_importing_the_package_alone() -> None:
     """In a fresh interpreter, which loads the environment's modules only when they are asked for."""
     code = (

@@ -63,6 +63,7 @@ def test_each_bin_has_its_own_error_and_keeps_it() -> None:
     np.testing.assert_array_equal(offset(env), first)
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_said() -> None:
     env = wrong_env(0.004, num_parts=1)
     found = []

@@ -21,6 +21,8 @@ from binpick_env.options import CellOptions, resolve_cell
 from binpick_env.parts import load_part
 from tests.binpick_env.small_cell import REST, above_tray, act, assert_same, small_simulation
 
+pytestmark = pytest.mark.slow
+
 TINY: dict[str, Any] = {"num_parts": 1, "perception": "oracle", "threads": 1, "width": 64, "height": 48}
 
 

@@ -44,6 +44,7 @@ def checked() -> dict[str, str]:
     return {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(folder)}
 
 
+@pytest.mark.slow
 def test_the_check_sees_an_index_out_of_bounds(checked: dict[str, str]) -> None:
     done = subprocess.run([sys.executable, "-c", OUT_OF_BOUNDS], env=checked, capture_output=True, text=True)
     assert done.returncode != 0

@@ -29,6 +29,8 @@ from perception.pose.pose_estimate import PoseEstimate
 from tests.binpick_env.observed_cell import assert_right, cell, in_play, no_weights_of_the_users_own, seen_in  # noqa: F401
 from tests.binpick_env.small_cell import REST, act, assert_same, random_actions
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def learned() -> BinPickEnv:
@@ -300,7 +302,6 @@ def test_a_frame_is_perceived_once(learned: BinPickEnv, monkeypatch: pytest.Monk
     assert len(perceived) == 2
 
 
-@pytest.mark.slow
 def test_copies_that_learned_to_see_stay_equal(learned: BinPickEnv) -> None:
     """Bit for bit, over frames taken underway, in a pickled copy and in one with another episode behind it."""
     copy = pickle.loads(pickle.dumps(learned))

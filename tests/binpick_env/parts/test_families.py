@@ -85,6 +85,7 @@ def test_pieces_are_convex_and_cover_the_part_without_its_bores(part: Part, draw
     np.testing.assert_allclose([low.min(axis=0), high.max(axis=0)], box, atol=0.005 * part.model.d_max)
 
 
+@pytest.mark.slow
 def test_same_name_gives_the_same_bits_and_another_index_another_part(parts: list[Part]) -> None:
     part, other = parts
     again = generated_design(parse_name(part.source))

@@ -77,6 +77,7 @@ def test_symmetry_choices(save: Callable[..., Path]) -> None:
     assert load_part("part_a", symmetry=half_turn).model.symmetry is half_turn
 
 
+@pytest.mark.slow
 def test_a_catalogue_part_as_a_file_is_the_same_part(
     save: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -61,6 +61,7 @@ def test_other_mesh_formats(save: Save, suffix: str) -> None:
     assert mesh.volume == pytest.approx(ell().volume, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1000.0), ("inch", 1 / 0.0254), ("m", 1.0)])
 def test_a_step_file_is_one_body_in_metres(tmp_path: Path, unit: str, scale: float) -> None:
     box = creation.box(np.array([0.03, 0.04, 0.05]) * scale)
@@ -70,6 +71,7 @@ def test_a_step_file_is_one_body_in_metres(tmp_path: Path, unit: str, scale: flo
     assert mesh.metadata["unit"] == "m"
 
 
+@pytest.mark.slow
 def test_a_step_file_of_several_solids(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     pin, head = creation.box((10, 10, 60)), creation.box((30, 40, 20))
     with caplog.at_level(logging.INFO):
@@ -111,6 +113,7 @@ def test_a_file_that_is_not_what_its_name_says(save: Save, name: str) -> None:
         read_mesh(renamed)
 
 
+@pytest.mark.slow
 def test_a_step_file_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"is no STEP file: it must begin with ISO-10303-21, got b'solid"):
         read_mesh(text(tmp_path / "a.step", "solid part"))
@@ -255,6 +258,7 @@ def test_parts_of_1_um_and_10_m(save: Save, size: float) -> None:
         read_mesh(path, unit="m")
 
 
+@pytest.mark.slow
 def test_many_faces_are_simplified_to_a_stated_deviation(
     save: Save, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

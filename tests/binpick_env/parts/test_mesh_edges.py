@@ -63,6 +63,7 @@ def test_flush_bodies_are_united_however_they_are_triangulated(
     assert area is None or mesh.area == pytest.approx(area, rel=2e-5)
 
 
+@pytest.mark.slow
 def test_a_step_assembly_of_flush_solids_is_united(tmp_path: Path) -> None:
     lower, upper = creation.box((20, 20, 20)), creation.box((20, 20, 20))
     upper.apply_translation((0, 0, 20))

@@ -34,6 +34,7 @@ def test_coacd_cuts_an_ell_in_two_and_repeats_itself(
     assert covered == pytest.approx(mesh.volume, rel=0.05)
 
 
+@pytest.mark.slow
 def test_coacd_covers_a_bored_wheel(cache: Path) -> None:
     outline = [(0.006, 0.0), (0.04, 0.0), (0.04, 0.013), (0.02, 0.013), (0.02, 0.047), (0.006, 0.047), (0.006, 0.0)]
     mesh = creation.revolve(outline, sections=24)  # part_a with coarse facets: a quarter of the time
@@ -121,6 +122,7 @@ def dumbbell() -> trimesh.Trimesh:
     return mesh.subdivide()
 
 
+@pytest.mark.slow
 def test_many_faces_are_simplified_before_they_are_cut(cache: Path, caplog: pytest.LogCaptureFixture) -> None:
     mesh = dumbbell()
     assert len(mesh.faces) > 10_000

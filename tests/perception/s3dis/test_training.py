@@ -25,6 +25,8 @@ from perception.segmentation.weights import load_network, load_record
 from tests.perception.s3dis.s3dis_tree import boxes_room, told_by_colour_room
 from tests.perception.s3dis.test_predictor import truthful
 
+pytestmark = pytest.mark.slow
+
 TWIN = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[2] / "reference" / "losses_twin.py")))
 ROOMS = [PackedRoom.pack(told_by_colour_room(seed, f"Area_{seed}/office_1")) for seed in (1, 2)]
 TINY = SgpnConfig(in_channels=9, num_classes=13, embedding=8, branch=8, global_width=16, k=6)
@@ -114,7 +116,6 @@ def test_the_third_cases_gradient_is_the_twins_difference_quotient(kind: str, di
             assert free.grad[0, point, axis].item() == pytest.approx((values[0] - values[1]) / (2 * step), abs=1e-5)
 
 
-@pytest.mark.slow
 def test_a_tiny_block_is_overfitted_to_the_right_objects(tmp_path: Path) -> None:
     objects = [("chair", (0.0, 0.0, 0.0)), ("chair", (0.55, 0.0, 0.0)), ("table", (0.0, 0.55, 0.2))]
     room = boxes_room(objects, points=110, name="Area_1/office_1")

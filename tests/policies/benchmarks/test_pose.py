@@ -26,6 +26,8 @@ from policies.benchmarks.pose_peers import Answers, Peer
 from policies.commands import bench as command
 from tests.policies.benchmarks.pose_peer_cases import TEE, case, fake_peer
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def fake(tmp_path: Path) -> Peer:
@@ -182,7 +184,6 @@ def test_the_command_prints_the_table_and_ends_a_mistake_in_one_line(
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: part must be one of part_a")
 
 
-@pytest.mark.slow
 def test_ours_runs_in_a_process_of_its_own() -> None:
     before = dict(os.environ)
     config = SceneConfig(part="tee", seed=31, num_parts=(3, 3), camera=CameraConfig(width=640, height=480))

@@ -15,6 +15,8 @@ from policies.benchmarks.pose_peers import PEERS, Answers, Peer, available, faul
 from policies.commands.bench import Pose
 from tests.policies.benchmarks.pose_peer_cases import TEE, case, fake_peer
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def fake(tmp_path: Path) -> Peer:

@@ -63,6 +63,7 @@ def help_texts() -> dict[str, str]:
     return texts
 
 
+@pytest.mark.slow
 def test_help_is_to_the_point_and_loads_nothing_heavy(help_texts: dict[str, str]) -> None:
     for name in NAMES:
         assert help_texts[name].startswith(f"usage: binpick {name} [-h]")

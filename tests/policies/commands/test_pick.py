@@ -143,6 +143,7 @@ def test_a_file_is_said_as_it_was_read(
     assert "--unit" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_budget_picks_the_same_bins_three_ways(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The page on budgets, whose lines tests/test_shell_lines.py runs, picks them in real cells."""
     monkeypatch.setattr(jobs, "run_job", partial(jobs.run_job, make_cell=dice_cell))

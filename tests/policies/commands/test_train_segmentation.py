@@ -33,6 +33,8 @@ from policies.commands.training_scenes import scene_budget, scenes_of_training
 from tests.perception.disc_scene import disc_scene
 from tests.policies.commands.command_calls import script, start
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -350,7 +352,6 @@ def test_random_weights_are_taken_where_that_is_asked_for(
     assert (record["initial"], record["training"]["learning_rate"]) == (None, PRESETS["ours"].learning_rate)
 
 
-@pytest.mark.slow
 def test_two_processes_train_one_network_and_one_of_them_writes(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     command += [str(script("train-segmentation")), "--part", "bracket", "--steps", "2", "--batch", "1"]

@@ -20,6 +20,8 @@ from policies.report.budget_report import budget_table, write_budget_report
 from policies.report.conclusion import conclude, conclude_budget
 from tests.policies.fake_cell import abstain, attempt, bin_result, dice_cell
 
+pytestmark = pytest.mark.slow
+
 CONFIG = EvaluationConfig(seed=31, num_parts=(6, 6))
 DELIVERED, MISSED = GraspOutcome.DELIVERED, GraspOutcome.MISSED
 # Attempts take 6 s. GSR 4/4, 3/4, 1/4 and DR 4/20, 3/20, 1/20, in two bins of 10 parts.

@@ -141,6 +141,7 @@ def test_a_spoilt_cache_file_is_computed_anew(monkeypatch, tmp_path, caplog):
     assert not list(tmp_path.glob("*.part"))
 
 
+@pytest.mark.slow
 def test_a_part_too_large_for_the_jaw_has_no_grasp(caplog):
     cube = PartModel.from_mesh("cube", trimesh.creation.box(extents=(0.1, 0.1, 0.1)))
     with caplog.at_level(logging.WARNING):
@@ -151,6 +152,7 @@ def test_a_part_too_large_for_the_jaw_has_no_grasp(caplog):
     assert "lines through the part': 0" in caplog.text
 
 
+@pytest.mark.slow
 def test_a_narrower_jaw_grasps_what_fits_into_it():
     """Across 30 mm of the block, but not across 50 mm, and never opened wider than the jaw."""
     grasps = sample_grasps(block_model(), FEW, jaw=0.05)
@@ -161,6 +163,7 @@ def test_a_narrower_jaw_grasps_what_fits_into_it():
     assert "its pads can reach" in why_no_grasp(just, FEW, jaw=0.05)
 
 
+@pytest.mark.slow
 def test_a_part_that_needs_60_mm_says_so_to_a_jaw_of_50_mm():
     cube = PartModel.from_mesh("cube", trimesh.creation.box(extents=(0.06, 0.06, 0.06)))
     assert len(sample_grasps(cube, FEW)) > 0

@@ -15,6 +15,8 @@ from policies.selection.fast_agreement import PairedAttempt, agreement_table, pa
 from tests.policies.hand_cell import HandCell
 from tests.policies.selection_cell import SMALL, choices, lay, step
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def full() -> GraspSelectionEnv:
@@ -39,7 +41,6 @@ def count_steps(env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> list
     return steps
 
 
-@pytest.mark.slow
 def test_a_bin_is_emptied_with_a_third_of_the_steps(
     full: GraspSelectionEnv, fast: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -76,7 +77,6 @@ def test_the_arm_is_home_and_the_pile_asleep_at_each_frame(fast: GraspSelectionE
     assert fast.cell.unjudged() == frozenset()
 
 
-@pytest.mark.slow
 def test_two_fast_copies_stay_equal() -> None:
     envs = [GraspSelectionEnv(**SMALL, fast=True) for _ in range(2)]
     for env in envs:
@@ -158,7 +158,6 @@ def test_what_the_frame_did_not_show_has_its_effect(part: str, outcome: GraspOut
     env.close()
 
 
-@pytest.mark.slow
 def test_pairs_start_from_one_state_and_agree(full: GraspSelectionEnv, fast: GraspSelectionEnv) -> None:
     pairs = list(paired_attempts(full, fast, seed=40, count=3))
     assert [pair.agree for pair in pairs] == [True, True, True]

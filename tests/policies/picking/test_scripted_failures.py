@@ -16,6 +16,8 @@ from policies.picking.scripted import ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import HandCell, Shifted, assert_abstains, assert_fails, greased, lie
 
+pytestmark = pytest.mark.slow
+
 STOP_FORCE = ExecutionSettings().stop_force
 ASIDE = (0.0, 0.06, 0.0)  # world: half a tee beside where it is [m]
 Where = Callable[[float, float], bool]

@@ -21,6 +21,8 @@ from tests.policies.fake_cell import abstain
 from tests.policies.report.rrd_file import RrdFile
 from tests.shared_models import share_shaded_meshes
 
+pytestmark = pytest.mark.slow
+
 CONFIG = EvaluationConfig(
     part="part_c", seed=31, perception="oracle", num_parts=(2, 2), camera=CameraConfig(width=320, height=240)
 )

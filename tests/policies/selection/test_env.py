@@ -37,6 +37,7 @@ def shared_env() -> Iterator[GraspSelectionEnv]:
 # --- contracts -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_gymnasiums_checker(shared_env: GraspSelectionEnv) -> None:
     check_env(shared_env, skip_render_check=True)
 

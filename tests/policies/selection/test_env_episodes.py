@@ -25,6 +25,8 @@ from policies.selection.features import column
 from tests.policies.hand_cell import HandCell, Shifted
 from tests.policies.selection_cell import SMALL, assert_same, choices, lay, step, unexecuted
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def shared_env() -> Iterator[GraspSelectionEnv]:

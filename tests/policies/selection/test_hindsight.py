@@ -17,6 +17,8 @@ from policies.selection.selectors import SelectorPicker, WeightedSelector
 from tests.policies.fake_cell import attempt, bin_result
 from tests.policies.hand_cell import Blind, HandCell, Shifted, decision, hand_cell, lie
 
+pytestmark = pytest.mark.slow
+
 AIR = (0.0, 0.0, 0.1)  # said to hover, so that the jaw closes on nothing
 
 
@@ -51,7 +53,6 @@ def tried(result: PickResult) -> float:
     return result.grasp.features[TRIED]
 
 
-@pytest.mark.slow
 def test_an_attempt_from_a_snapshot_is_the_same_attempt(tees: HandCell) -> None:
     """Also in another cell."""
     tees.lay(tees.flat(0.05, 0.0), tees.flat(-0.06, 0.03, yaw=0.7))
@@ -69,7 +70,6 @@ def test_an_attempt_from_a_snapshot_is_the_same_attempt(tees: HandCell) -> None:
     other.env.close()
 
 
-@pytest.mark.slow
 def test_the_first_row_that_delivers_is_kept_and_the_failure_before_it_undone(
     tees: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -104,7 +104,6 @@ def test_tries_have_a_limit(tees: HandCell, monkeypatch: pytest.MonkeyPatch) -> 
         HindsightPicker(tees.env, tees.picker, most=0)
 
 
-@pytest.mark.slow
 def test_a_delivering_first_row_is_what_the_weighted_selector_takes(tees: HandCell) -> None:
     makers: list[Callable[[BinPickEnv], Any]] = [
         lambda env: HindsightPicker(env, tees.picker),

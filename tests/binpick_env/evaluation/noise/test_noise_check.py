@@ -9,6 +9,7 @@ from binpick_env.evaluation.noise.check import check_on_left_out_parts
 from tests.binpick_env.evaluation.noise.observed_bins import drawn_bins, observed, row
 
 
+@pytest.mark.slow
 def test_drawn_rates_are_the_observed_ones_where_parts_of_a_class_are_alike() -> None:
     rng = np.random.default_rng(1)
     bins = [

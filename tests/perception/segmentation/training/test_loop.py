@@ -53,6 +53,7 @@ def assert_same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor])
     assert [name for name in first if not torch.equal(first[name], second[name])] == []
 
 
+@pytest.mark.slow
 @KINDS
 def test_the_same_seed_gives_the_same_bits_and_another_one_others(config: TrainingConfig) -> None:
     first, second, other = trainer(config), trainer(config), trainer(replace(config, seed=1))
