@@ -169,11 +169,12 @@ def _generated_part(name: GeneratedName, symmetry: SymmetryChoice, density: floa
 def _file_part(path: Path, unit: Unit | None, symmetry: Symmetry | SymmetrySettings, density: float) -> Part:
     mesh = read_mesh(path, unit)
     facts: FileFacts = mesh.metadata["facts"]
-    mesh.apply_translation(-mesh.center_mass)
+    x, y, z = (float(value) for value in mesh.center_mass)
+    mesh.apply_translation((-x, -y, -z))
     group = symmetry if isinstance(symmetry, Symmetry) else detect_symmetry(mesh, symmetry)
     drawn = Design(name=path.stem, mesh=mesh, pieces=convex_pieces(mesh), density=density, symmetry=group)
     part = _assemble(drawn, source=str(path.resolve()))
-    return replace(part, unit=facts.unit, file=facts, sides=mesh.metadata["sides"])
+    return replace(part, unit=facts.unit, file=replace(facts, origin=(x, y, z)), sides=mesh.metadata["sides"])
 
 
 def _group(symmetry: SymmetryChoice) -> Symmetry:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from binpick_env.parts.label import part_label
 from binpick_env.parts.unit import Unit
 from policies.commands.command_line import exit_code, parse
 
@@ -21,12 +22,15 @@ UNREAD = 1  # exit code where a frame could not be read
 class Arguments:
     """Find the poses of a part in frames of your camera, and say why some are lost.
 
-    State the bin by --bin and --bin-pose, or search everything by --no-bin. Exit codes: 0 if every frame was read, also
-    where no part was found; 1 if one could not be read; 2 for options that have no meaning.
+    Name files, or a folder by --frames. State the bin by --bin and --bin-pose, or search everything by --no-bin. Exit
+    codes: 0 if every frame was read, also where no part was found; 1 if one could not be read; 2 for options that have
+    no meaning.
     """
 
     # depth images (16-bit PNG or TIFF, EXR, NPY), clouds (PCD, PLY, NPZ) or frames that write_frame wrote
-    frames: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    frames: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
+    # folder of frames, instead of their files; the results are kept and resumed in --out
+    frames_in: Annotated[Path | None, tyro.conf.arg(name="frames")] = None
     # part_a, part_b, part_c, tee, bracket, generated:FAMILY:INDEX, or the path of an STL, OBJ, PLY, OFF, GLB, 3MF or
     # STEP file
     part: str
@@ -60,8 +64,36 @@ class Arguments:
     quarter_turns: int = 0  # anticlockwise quarter turns of the image, after the crop
     json: Path | None = None  # JSON file for all frames
     overlay: Path | None = None  # folder of a PNG file for each frame, with the outlines of the parts found
-    # folder of a JSON and a PNG file for each frame; frames whose files are there are skipped
+    bop: Path | None = None  # CSV file of the verified poses in the results format of the BOP challenge
+    bop_object: int = 1  # number of the part's model in the BOP data set
+    bop_scene: int | None = None  # number of the scene in it; that of the folder SCENE/depth, or 1, unless given
+    # folder of a JSON and a PNG file for each frame; frames whose files are there are skipped;
+    # runs/perceive-PART-FOLDER with --frames, otherwise none unless given
     out: Path | None = None
+
+    def folder(self) -> Path | None:
+        """Return where the results of each frame are kept; None if they are not."""
+        if self.out is not None or self.frames_in is None:
+            return self.out
+        return Path("runs") / f"perceive-{part_label(self.part)}-{self.frames_in.resolve().name}"
+
+    def paths(self) -> tuple[Path, ...]:
+        """Return the files of the frames.
+
+        Raises:
+            FileNotFoundError: There is no folder of that name.
+            ValueError: Files and a folder are both given, the folder holds no frame, or the results would go there.
+        """
+        from policies.frames import frames_in
+
+        if self.frames_in is None:
+            return self.frames
+        if self.frames:
+            raise ValueError(f"name files of frames or a folder by --frames, but not both, got {self.frames[0]}, too")
+        for option, place in (("--out", self.folder()), ("--overlay", self.overlay)):
+            if place is not None and place.resolve() == self.frames_in.resolve():
+                raise ValueError(f"{option} must be another folder than that of the frames, got {place}")
+        return frames_in(self.frames_in, grey=self.grey, calibration=self.calibration)
 
     def workspace(self) -> "Workspace | None":
         """Return the bin; None without one.
@@ -117,7 +149,9 @@ class Arguments:
         """Return which frames are perceived, and where the results are kept."""
         from policies.frames import FrameJob
 
-        return FrameJob(paths=self.frames, source=self.source(), out=self.out, overlay=self.overlay)
+        return FrameJob(
+            paths=self.paths(), source=self.source(), folder=self.frames_in, out=self.folder(), overlay=self.overlay
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -129,7 +163,8 @@ def run(args: Arguments) -> int:
     """Perceive the frames; return the exit code."""
     from perception.segmentation.weights import WeightsError
 
-    stopped = "stopped" if args.out is None else f"stopped; the same command resumes in {args.out}"
+    out = args.folder()
+    stopped = "stopped" if out is None else f"stopped; the same command resumes in {out}"
     outcomes: list[FrameOutcome] = []
     code = exit_code(lambda: _perceive(args, outcomes), (ValueError, OSError, WeightsError), stopped)
     unread = any(outcome.values is None for outcome in outcomes)
@@ -143,13 +178,15 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
     from tqdm import tqdm
 
     from binpick_env.parts import load_part
-    from policies.frames import FramePerceiver, perceive_frames, save_records
+    from policies.frames import BopNames, FramePerceiver, perceive_frames, save_bop_results, save_records
+    from policies.frames.bop import image_numbers
 
     job, workspace = args.job(), args.workspace()
-    part = load_part(
-        args.part, unit=args.unit, symmetry=args.symmetry, symmetry_tolerance=args.symmetry_tolerance
-    ).model
-    perceiver = FramePerceiver(part, workspace)
+    names = BopNames(obj_id=args.bop_object, scene_id=args.bop_scene)
+    if args.bop is not None:
+        image_numbers(job.paths, names.scene_id)  # now, rather than when all frames are done
+    part = load_part(args.part, unit=args.unit, symmetry=args.symmetry, symmetry_tolerance=args.symmetry_tolerance)
+    perceiver = FramePerceiver(part.model, workspace, origin_in_file=part.file.origin if part.file else (0.0, 0.0, 0.0))
     with tqdm(total=len(job.paths), unit="frame", smoothing=0.02, disable=len(job.paths) < 2) as bar:
         for outcome in perceive_frames(job, perceiver):
             outcomes.append(outcome)
@@ -160,4 +197,18 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
             bar.update()
     if args.json is not None:
         save_records(args.json, outcomes)
-    return None if args.json is None else f"numbers   {args.json}"
+    if args.bop is not None:
+        save_bop_results(args.bop, outcomes, names)
+    places = {"numbers": args.json, "BOP": args.bop, "results": job.out}
+    ends = [f"{label:<9} {place}" for label, place in places.items() if place is not None]
+    if len(outcomes) > 1:
+        ends.insert(0, f"frames    {_counts(outcomes)}")
+    return "\n".join(ends) or None
+
+
+def _counts(outcomes: Sequence["FrameOutcome"]) -> str:
+    """Return how many frames show parts, how many show none, and how many could not be read."""
+    read = [outcome.values["poses"] for outcome in outcomes if outcome.values is not None]
+    full = sum(any(pose["verified"] for pose in poses) for poses in read)
+    text = f"{len(outcomes)}: {full} with parts, {len(read) - full} without"
+    return text if len(read) == len(outcomes) else f"{text}, {len(outcomes) - len(read)} could not be read"

@@ -1,3 +1,6 @@
+from .bop import BopNames as BopNames
+from .bop import save_bop_results as save_bop_results
+from .frame_files import frames_in as frames_in
 from .frame_perceiver import FramePerceiver as FramePerceiver
 from .frame_perceiver import workspace_of_depth as workspace_of_depth
 from .frame_record import FrameRecord as FrameRecord

@@ -45,14 +45,22 @@ class FramePerceiver:
         weights: Weights of the segmentation network.
         predictor: Segmentation of boundary points.
         estimator: Pose estimation of segments.
+        origin_in_file: Position of the part frame's origin in the frame of the part's file [m].
     """
 
-    def __init__(self, part: PartModel, workspace: Workspace | None) -> None:
+    def __init__(
+        self,
+        part: PartModel,
+        workspace: Workspace | None,
+        *,
+        origin_in_file: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
         """Load the network and the models of the part, which take seconds the first time.
 
         Args:
             part: Part to search for.
             workspace: The bin; None to search all that a frame measures.
+            origin_in_file: Position of the part frame's origin in the frame of the part's file [m]; records name it.
 
         Raises:
             WeightsError: There are neither weights of the part nor for every part.
@@ -65,7 +73,7 @@ class FramePerceiver:
             )
         found = find_weights(part)
         digest = hashlib.sha256(found.path.read_bytes()).hexdigest()
-        self.part, self.workspace = part, workspace
+        self.part, self.workspace, self.origin_in_file = part, workspace, origin_in_file
         self.weights = UsedWeights(name=found.path.name, sha256=digest, training=found.training)
         self.predictor = SegmentationPredictor.from_file(found.path, part=part)
         self.estimator = PoseEstimator(part, workspace=workspace)

@@ -54,7 +54,11 @@ class FrameRecord:
             "frame": str(self.path),
             "width": width,
             "height": height,
-            "part": {"name": part.name, "d_max": part.d_max},
+            "part": {
+                "name": part.name,
+                "d_max": part.d_max,
+                "origin_in_file": list(self.perceiver.origin_in_file),
+            },
             "weights": asdict(self.perceiver.weights),
             "bin": None
             if workspace is None

@@ -13,11 +13,10 @@ from perception.geometry import Floats
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, git_commit, versions
 from perception.shape import shape_signature
+from policies.frames.frame_files import STEM
 from policies.frames.frame_perceiver import FramePerceiver
 from policies.frames.frame_record import VERSION, FrameRecord, Values, frame_lines
 from policies.frames.overlay import draw_poses, save_picture
-
-STEM = "{stem}"  # stands for the frame's file name without its suffix
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -55,12 +54,16 @@ class FrameJob:
 
     paths: tuple[Path, ...]  # files of the frames
     source: FrameSource  # how they are read
+    folder: Path | None = None  # folder that holds them all, if they were named by it
     out: Path | None = None  # folder of a JSON and a PNG file for each frame; None keeps none
     overlay: Path | None = None  # folder of a PNG file for each frame; None draws none
 
     def __post_init__(self) -> None:
         if not self.paths:
-            raise ValueError("at least one frame is required, got none: name its file after `binpick perceive`")
+            raise ValueError(
+                "at least one frame is required, got none: name its file after `binpick perceive`, or a "
+                "folder by --frames"
+            )
         stems: dict[str, Path] = {}
         for path in self.paths if self.out is not None or self.overlay is not None else ():
             if path.stem in stems:
@@ -158,6 +161,7 @@ def _stored(job: FrameJob, path: Path) -> FrameOutcome | None:
         content: Any = json.loads(numbers.read_text())
         (values,) = content["frames"]
         found = sum(pose["verified"] for pose in values["poses"])
+        values["part"]["origin_in_file"]  # which older files lack
     except (ValueError, KeyError, TypeError):
         return None
     if content.get("version") != VERSION:
@@ -176,4 +180,5 @@ def _configuration(job: FrameJob, perceiver: FramePerceiver) -> Values:
         "T_world_bin": None if workspace is None else workspace.T_world_bin.tolist(),
         "inner_size": None if workspace is None else workspace.inner_size.tolist(),
         **job.source.values(),
+        **({} if job.folder is None else {"folder": str(job.folder.resolve())}),
     }

@@ -1,5 +1,6 @@
 """How a file was read: where its unit came from, how many bodies it holds, what was repaired."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,9 @@ def facts_of(path: Path, **options: str) -> FileFacts:
 def test_a_clean_file_has_one_body_and_no_repairs(tmp_path: Path) -> None:
     ell().export(tmp_path / "ell.stl")
     part = load_part(tmp_path / "ell.stl", symmetry="none")
-    assert part.file == FileFacts(unit="m", unit_origin="guessed")
+    assert part.file is not None
+    assert part.file.origin == pytest.approx(ell().center_mass.tolist(), abs=1e-7)
+    assert replace(part.file, origin=(0.0, 0.0, 0.0)) == FileFacts(unit="m", unit_origin="guessed")
     assert part.unit == "m"
     assert load_part("tee").file is None
 

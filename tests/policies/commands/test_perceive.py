@@ -34,7 +34,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.setattr(ESTIMATOR, "workspace", workspace)
         return ESTIMATOR
 
-    monkeypatch.setattr(binpick_env.parts, "load_part", lambda *_, **__: SimpleNamespace(model=ELL), raising=False)
+    part = SimpleNamespace(model=ELL, file=None)
+    monkeypatch.setattr(binpick_env.parts, "load_part", lambda *_, **__: part, raising=False)
     monkeypatch.setattr(SegmentationPredictor, "from_file", lambda *_, **__: KnowingPredictor(true_groups))
     monkeypatch.setattr(frame_perceiver, "PoseEstimator", estimator)
     write_frame(FRAME, tmp_path / "full.npz")
@@ -206,3 +207,50 @@ def test_frames_of_the_same_name_are_refused_only_where_files_are_written(folder
 def test_a_call_without_a_frame_is_refused(folder: Path) -> None:
     done = run("perceive", *IN_BIN, cwd=folder)
     assert done.returncode == 2
+
+
+def test_a_folder_is_perceived_resumed_and_survives_bad_files(folder: Path) -> None:
+    frames = folder / "frames"
+    for name, frame in (("full.npz", FRAME), ("empty.json", EMPTY)):
+        write_frame(frame, frames / name)
+    (frames / "bad.npz").write_bytes(b"PK\x03\x04 nothing")
+    call = ["--frames", "frames", *IN_BIN, "--bop", "found.csv"]
+    done = run("perceive", *call, cwd=folder)
+    assert done.returncode == 1
+    assert "error: frames/bad.npz: bad.npz must be a complete file" in done.stderr
+    assert "frames    3: 1 with parts, 1 without, 1 could not be read" in done.stdout
+    out = folder / "runs" / "perceive-ell-frames"
+    assert {path.name for path in out.glob("*.json")} == {"config.json", "full_poses.json", "empty_poses.json"}
+    rows = (folder / "found.csv").read_text().splitlines()
+    assert [row.split(",")[:3] for row in rows[1:]] == 2 * [["1", "2", "1"]]
+    (frames / "bad.npz").unlink()
+    again = run("perceive", *call, cwd=folder)
+    assert again.returncode == 0
+    assert again.stdout.count("already there") == 2
+    assert "frames    2: 1 with parts, 1 without" in again.stdout
+    assert [row.split(",")[:3] for row in (folder / "found.csv").read_text().splitlines()[1:]] == 2 * [["1", "1", "1"]]
+
+
+def test_another_folder_of_the_same_name_is_not_mixed_in(folder: Path) -> None:
+    write_frame(EMPTY, folder / "frames" / "one.npz")
+    write_frame(EMPTY, folder / "other" / "frames" / "one.npz")
+    assert run("perceive", "--frames", "frames", *IN_BIN, cwd=folder).returncode == 0
+    other = run("perceive", "--frames", "other/frames", *IN_BIN, cwd=folder)
+    assert other.returncode == 2
+    assert "holds poses of another configuration (folder: " in other.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (["full.npz", "--frames", "."], "name files of frames or a folder by --frames, but not both, got full.npz"),
+        (["--frames", "lost"], "there is no folder lost"),
+        (["--frames", ".", "--out", "."], "--out must be another folder than that of the frames, got ."),
+        (["--frames", ".", "--overlay", "."], "--overlay must be another folder than that of the frames, got ."),
+        (["full.npz", "--bop", "a.csv", "--bop-object", "-1"], "obj_id must not be negative, got -1"),
+    ],
+)
+def test_folders_without_a_meaning_are_refused(options: list[str], error: str, folder: Path) -> None:
+    done = run("perceive", *options, *IN_BIN, cwd=folder)
+    assert done.returncode == 2
+    assert error in done.stderr
