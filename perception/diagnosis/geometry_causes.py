@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from perception.diagnosis.report import Cause, CauseName
-from perception.diagnosis.samples import BinFit, DepthSamples
+from perception.diagnosis.samples import BoxFit, DepthSamples
 from perception.geometry import Floats, invert_transform
 
 _FARTHEST = 50.0  # median depth [m] that no camera over a bin measures; 50 mm is less than the nearest ones see
@@ -35,7 +35,7 @@ class Setup:
     inner_size: Floats
     scale: float = 1.0
 
-    def fit(self, samples: DepthSamples) -> BinFit:
+    def fit(self, samples: DepthSamples) -> BoxFit:
         """Return how well the measurements fill the bin."""
         T_cam_bin = invert_transform(self.T_world_cam) @ self.T_world_bin
         return samples.fit(self.K, T_cam_bin, self.inner_size, self.scale)
@@ -135,7 +135,7 @@ def _camera_pose(samples: DepthSamples, setup: Setup) -> tuple[Cause, Setup] | N
     return Cause(name=name, text=text), replace(setup, T_world_cam=T_world_cam)
 
 
-def _bin_pose(fit: BinFit, setup: Setup) -> Cause:
+def _bin_pose(fit: BoxFit, setup: Setup) -> Cause:
     """Return the cause where no usual mistake explains that the bin is elsewhere."""
     where = f"only {100 * fit.inside:.0f} % of what is measured there is in its box"
     where = "the camera looks elsewhere" if fit.view == 0 else where

@@ -19,7 +19,7 @@ _ODD_RATIO = 1.5  # ratio of this value and the nearest other one
 
 
 @dataclass(frozen=True, kw_only=True)
-class BinFit:
+class BoxFit:
     """How well the measurements fill a bin that is assumed to be somewhere.
 
     Attributes:
@@ -68,7 +68,7 @@ class DepthSamples:
         there = depth > 0
         return there if self.missing is None else there & (depth != np.float32(self.missing))
 
-    def fit(self, K: Floats, T_cam_bin: Floats, inner_size: Floats, scale: float) -> BinFit:
+    def fit(self, K: Floats, T_cam_bin: Floats, inner_size: Floats, scale: float) -> BoxFit:
         """Return how well the measurements fill a bin; nothing is inside or in view where the camera looks elsewhere.
 
         Args:
@@ -85,10 +85,10 @@ class DepthSamples:
         image, view = self._image_of(K, corners_cam)
         shown = int(np.count_nonzero(image))
         if shown < _FEWEST_SHOWN:
-            return BinFit()
+            return BoxFit()
         v, u = np.nonzero((image > 0) & self.measured(self.depth))
         if len(v) == 0:
-            return BinFit(view=view)
+            return BoxFit(view=view)
         z = self.depth[v, u].astype(np.float64) * scale
         x, y = (u * self.step - K[0, 2]) / K[0, 0] * z, (v * self.step - K[1, 2]) / K[1, 1] * z
         points_bin = transform_points(invert_transform(T_cam_bin), np.column_stack([x, y, z]))
@@ -97,7 +97,7 @@ class DepthSamples:
         inside &= (height >= -_BELOW) & (height <= inner_size[2] + _HEADROOM)
         between = height[(beside[0] <= half[0]) & (beside[1] <= half[1])]
         low = float(np.quantile(between, 0.25)) if len(between) else 0.0
-        return BinFit(inside=float(np.mean(inside)), measured=len(v) / shown, view=view, low=low)
+        return BoxFit(inside=float(np.mean(inside)), measured=len(v) / shown, view=view, low=low)
 
     def _image_of(self, K: Floats, corners_cam: Floats) -> tuple[NDArray[np.uint8], float]:
         """Return the (h, w) mask of the samples that show a box of (8, 3) corners, and the share of it in view."""

@@ -1,0 +1,151 @@
+"""The pose of a bin in a frame, from its depth."""
+
+import numpy as np
+
+from perception.bin.bin_fit import BinFit, BinSurface
+from perception.bin.cloud import GridCloud
+from perception.bin.edges import AssumedRim, RimEdges, find_edges
+from perception.bin.first_guess import FirstGuess, Prior, find_table, guess_from_floor, guess_from_rim
+from perception.bin.judgement import opening_of, uncertainty, why_unreliable
+from perception.bin.refinement import EDGE, WALLS, BinState, Refined, SurfacePoints, collect_points, refine
+from perception.frame import Frame, Workspace
+from perception.geometry import Floats, invert_transform, require_shape
+
+_FEWEST_POINTS = 300  # number of points of the coarse grid with which nothing is looked for
+_REACH = 0.015  # distance up to which edges are looked for around an opening that was seen as a whole [m]
+_WIDE_REACH = 0.06  # the same around the opening of the bin as it is believed to be [m]
+_NEAR_REACH = 0.005  # the same around a refined opening [m]
+_KEPT = 1e-5  # standard deviation of what the points cannot tell, and is kept [m and rad]
+_NO_OPENING = np.full(2, np.nan)
+
+
+def find_bin(frame: Frame, inner_size: Floats | None, near: Workspace | None = None) -> BinFit:
+    """Return the pose of a bin as the depth of a frame shows it, whether it is full or empty.
+
+    The top of the rim gives height and tilt, its inner edges give position and turn, and floor and inner faces of the
+    walls count where they are seen. One rigid pose is fitted to all of them at once. A table has a floor only.
+
+    Args:
+        frame: Frame of the camera; its grey image plays no part.
+        inner_size: (3,) inner length, width and height [m]; None to measure them, too.
+        near: The bin as it is believed to be, up to some centimetres and degrees off; None to look for the largest
+            opening in the frame, whose x axis then points to the right in the image, within 45 degrees.
+
+    Returns:
+        The fit. If too little is seen, it is not reliable, says why, and has the pose of ``near``.
+
+    Raises:
+        ValueError: ``inner_size`` is not (3,) and positive.
+
+    Note:
+        Deterministic.
+    """
+    if inner_size is not None:
+        inner_size = np.asarray(inner_size, np.float64)
+        require_shape("inner_size", inner_size, (3,))
+        if not np.all(inner_size > 0):
+            raise ValueError(f"inner_size must be positive, got {inner_size.tolist()}")
+    T_cam_world = invert_transform(frame.T_world_cam)
+    prior = Prior(
+        inner_size=inner_size,
+        T_cam_bin=None if near is None else T_cam_world @ near.T_world_bin,
+        extent=None if near is None else near.inner_size[:2],
+    )
+    cloud = GridCloud.of(frame)
+    if len(cloud.points_cam) < _FEWEST_POINTS:
+        return _unknown(near, inner_size, "hardly any pixel has a depth")
+    rng = np.random.default_rng(0)
+    guess = guess_from_rim(cloud, prior, rng)
+    refined, edges = (None, None) if guess is None else _refine(frame, cloud, guess)
+    if guess is None or edges is None or np.isnan(edges.offsets).all():
+        guess = guess_from_floor(cloud, prior, rng)
+        refined, edges = (None, None) if guess is None else _refine(frame, cloud, guess)
+    if refined is None:
+        if near is None and inner_size is None:
+            return _table(frame, cloud, rng)
+        return _unknown(near, inner_size, "its rim was not found")
+    opening = opening_of(refined, edges)
+    reason = why_unreliable(refined, opening, cloud, prior)
+    if reason is not None:
+        return _unknown(near, inner_size, reason)
+    walls = any(refined.points[name] > 0 for name in WALLS)
+    translation_std, rotation_std = uncertainty(refined, walls)
+    return BinFit(
+        T_world_bin=frame.T_world_cam @ refined.state.T_cam_bin,
+        inner_size=refined.state.size,
+        opening=opening,
+        translation_std=translation_std,
+        rotation_std=rotation_std,
+        points=refined.points,
+        residual=refined.residual,
+    )
+
+
+def _refine(frame: Frame, cloud: GridCloud, guess: FirstGuess) -> tuple[Refined, RimEdges | None]:
+    """Refine a guess on all surfaces, whose points are collected anew in each pass."""
+    state, edges = guess.state, None
+    reaches = (_REACH, _NEAR_REACH) if guess.whole else (_WIDE_REACH, _REACH, _NEAR_REACH)
+    for k, reach in enumerate(reaches):
+        if guess.rim:
+            height = float(state.size[2]) + state.lift
+            assumed = AssumedRim(T_cam_bin=state.T_cam_bin, opening=state.opening, height=height, noise=state.noise)
+            edges = find_edges(frame, assumed, reach)
+        last = k == len(reaches) - 1
+        on = collect_points(cloud, state, edges, faces=last and edges is not None)
+        refined = refine(state, on, _prior_std(on))
+        state = refined.state if not state.free else _measured(refined.state)
+    return refined, edges
+
+
+def _prior_std(on: SurfacePoints) -> Floats:
+    """Return the (6,) standard deviations of the prior of a pose: infinite for what the points tell."""
+    counts = np.bincount(on.kinds, minlength=EDGE + 8)
+    lengthwise, across = (counts[[EDGE + k, EDGE + k + 1, EDGE + k + 4, EDGE + k + 5]].sum() for k in (0, 2))
+    level = counts[:EDGE].sum()
+    told = np.array([lengthwise, across, level, level, level, lengthwise + across]) > 0
+    return np.where(told, np.inf, _KEPT)
+
+
+def _measured(state: BinState) -> BinState:
+    """Return a bin whose size is the measured one."""
+    size = np.array([*state.opening, state.size[2] + state.lift])
+    return BinState(T_cam_bin=state.T_cam_bin, size=size, noise=state.noise, free=True)
+
+
+def _unknown(near: Workspace | None, inner_size: Floats | None, reason: str) -> BinFit:
+    """Return a fit that is not reliable."""
+    size = inner_size if inner_size is not None or near is None else near.inner_size
+    return BinFit(
+        T_world_bin=None if near is None else near.T_world_bin,
+        inner_size=size,
+        opening=_NO_OPENING,
+        translation_std=float("inf"),
+        rotation_std=float("inf"),
+        points=_counts(0),
+        residual=float("nan"),
+        reason=reason,
+    )
+
+
+def _table(frame: Frame, cloud: GridCloud, rng: np.random.Generator) -> BinFit:
+    """Return the fit of a table: the largest plane."""
+    found = find_table(cloud, rng)
+    if found is None:
+        return _unknown(None, None, "no plane was found")
+    plane, T_cam_table = found
+    heights = plane.heights(cloud.points_cam)
+    near = np.abs(heights) <= 3 * plane.noise
+    return BinFit(
+        T_world_bin=frame.T_world_cam @ T_cam_table,
+        inner_size=None,
+        opening=_NO_OPENING,
+        translation_std=plane.noise,
+        rotation_std=plane.noise / float(np.ptp(cloud.points_cam[near], axis=0).max()),
+        points=_counts(int(np.count_nonzero(near))),
+        residual=float(np.sqrt(np.mean(heights[near] ** 2))),
+    )
+
+
+def _counts(floor: int) -> dict[BinSurface, int]:
+    """Return the number of points of each surface where only a floor was seen."""
+    return {"floor": floor, "rim": 0, **dict.fromkeys(WALLS, 0)}

@@ -1,0 +1,77 @@
+"""Whether a refined bin can be believed."""
+
+import numpy as np
+
+from perception.bin.cloud import GridCloud
+from perception.bin.edges import RimEdges
+from perception.bin.first_guess import FARTHEST, STEEPEST, Prior
+from perception.bin.refinement import WALLS, Refined
+from perception.geometry import Floats, invert_transform, rotation_angle, transform_points
+
+_LEAST_TRANSLATION, _LEAST_ROTATION = 0.0002, 0.0003  # errors of a sensor that no number of points averages out
+_MOST_TRANSLATION, _MOST_ROTATION = 0.003, np.deg2rad(0.7)  # standard deviations above which a fit says nothing
+_MISFIT, _MISFIT_SHARE = 0.012, 0.05  # largest difference of opening and stated size, in metres and as a share
+_BELOW, _BELOW_SHARE = 0.006, 0.1  # depth below the floor [m], and share of the points there with which it is wrong
+
+
+def opening_of(refined: Refined, edges: RimEdges | None) -> Floats:
+    """Return the (2,) measured length and width of the opening [m]; NaN where not both of its edges were seen."""
+    if edges is None:
+        return np.full(2, np.nan)
+    both = np.isfinite(edges.offsets).reshape(2, 2).all(axis=1)
+    return np.where(both, refined.state.opening, np.nan)
+
+
+def why_unreliable(refined: Refined, opening: Floats, cloud: GridCloud, prior: Prior) -> str | None:
+    """Return why a refined bin cannot be believed; None if it can.
+
+    Args:
+        refined: The bin.
+        opening: (2,) measured length and width of its opening [m], or NaN.
+        cloud: Points of the frame.
+        prior: What was known of the bin before.
+    """
+    points, size = refined.points, refined.state.size
+    if points["floor"] == points["rim"] == 0:
+        return "neither its floor nor its rim is seen"
+    seen = [any(points[name] > 0 for name in WALLS[axis : axis + 2]) for axis in (0, 2)]
+    if seen[0] != seen[1]:
+        return f"only the walls at the ends of its {'length' if seen[0] else 'width'} are seen"
+    if prior.inner_size is not None:
+        away = np.abs(opening - prior.inner_size[:2])
+        if np.any(away > np.maximum(_MISFIT, _MISFIT_SHARE * prior.inner_size[:2])):
+            return f"its opening measures {_mm(opening)} mm, but inner_size says {_mm(prior.inner_size[:2])} mm"
+    translation, rotation = uncertainty(refined, walls=seen[0])
+    if translation > _MOST_TRANSLATION or rotation > _MOST_ROTATION:
+        return f"too little of it is seen: its pose is uncertain by {1000 * translation:.1f} mm"
+    if prior.T_cam_bin is not None:
+        T = invert_transform(prior.T_cam_bin) @ refined.state.T_cam_bin
+        distance, angle = float(np.linalg.norm(T[:3, 3])), float(rotation_angle(T[:3, :3]))
+        if distance > FARTHEST or angle > STEEPEST:
+            return (
+                f"what looks like it lies {1000 * distance:.0f} mm and {np.degrees(angle):.0f} degrees from where it "
+                "is said to be"
+            )
+    p = transform_points(invert_transform(refined.state.T_cam_bin), cloud.points_cam)
+    inside = np.all(np.abs(p[:, :2]) <= size[:2] / 2 - _BELOW, axis=1)
+    below = float(np.mean(p[inside, 2] < -_BELOW)) if inside.any() else 0.0
+    if below > _BELOW_SHARE:
+        return f"{100 * below:.0f} % of what is measured in it lies below its floor"
+    return None
+
+
+def uncertainty(refined: Refined, walls: bool) -> tuple[float, float]:
+    """Return the standard deviations of the position [m] and of the orientation [rad] along their worst axes.
+
+    Args:
+        refined: The bin.
+        walls: Whether walls were seen; without them only height and tilt are measured.
+    """
+    C = refined.covariance
+    moved, turned = (C[:3, :3], C[3:, 3:]) if walls else (C[2:3, 2:3], C[3:5, 3:5])
+    translation = float(np.sqrt(np.linalg.eigvalsh(moved).max() + _LEAST_TRANSLATION**2))
+    return translation, float(np.sqrt(np.linalg.eigvalsh(turned).max() + _LEAST_ROTATION**2))
+
+
+def _mm(size: Floats) -> str:
+    return " x ".join("?" if np.isnan(value) else f"{1000 * value:.0f}" for value in size)
