@@ -10,7 +10,7 @@ TOLERANCE = 0.003  # distance from a plane up to which points support it before 
 LEAST_NOISE = 0.0002  # noise below which a finer fit makes no difference [m]
 MOST_NOISE = 0.003  # noise above which points are no plane [m]
 _HYPOTHESES, _MOST_POINTS = 500, 1500  # triples that are tried, and points that they are tried on
-_FITTED = 6  # number of the best triples whose planes are fitted to their inliers
+_FITTED = 12  # number of the best triples whose planes are fitted to their inliers
 _FLAT = 0.0005  # noise below which a plane is no better than another one [m]
 
 
