@@ -116,7 +116,9 @@ def run_story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[St
         trimesh.creation.box(BLOCK).export(folder / "path" / "to" / "part.stl")
         for k, name in enumerate(EMPTY_BINS):
             write_frame(empty_bin(k), folder / f"{name}.json")
-        (folder / "cell.json").write_text(json.dumps({"T_world_bin": np.eye(4).tolist()}))
+        base = make_transform(translation=(-0.5, 0.0, 0.15))
+        cell = {"T_world_bin": np.eye(4).tolist(), "T_world_base": base.tolist()}
+        (folder / "cell.json").write_text(json.dumps(cell))
         calls = [tuple(tiny(words)) for words in story]
         for words in calls:
             if words not in done:

@@ -13,7 +13,8 @@ from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
     from perception.frame import Workspace
-    from policies.frames import FrameJob, FrameOutcome, FrameSource
+    from perception.part import PartModel
+    from policies.frames import FrameJob, FrameOutcome, FrameSource, GraspFinder
 
 UNREAD = 1  # exit code where a frame could not be read
 
@@ -64,6 +65,11 @@ class Arguments:
     quarter_turns: int = 0  # anticlockwise quarter turns of the image, after the crop
     json: Path | None = None  # JSON file for all frames
     overlay: Path | None = None  # folder of a PNG file for each frame, with the outlines of the parts found
+    grasps: bool = False  # search grasps of a 2F-85 that are clear of everything else measured
+    jaw: float | None = None  # largest opening of the jaw [m]; the gripper's whole stroke of 0.085 m unless given
+    # pose of a UR5e's base (base_link: x to the front, z up) in the world: 16 numbers row by row, or a JSON file of
+    # them; says which grasps are within reach
+    robot_base: tuple[str, ...] | None = None
     bop: Path | None = None  # CSV file of the verified poses in the results format of the BOP challenge
     bop_object: int = 1  # number of the part's model in the BOP data set
     bop_scene: int | None = None  # number of the scene in it; that of the folder SCENE/depth, or 1, unless given
@@ -116,6 +122,26 @@ class Arguments:
                 "the bin must be known: give --bin LENGTHxWIDTHxHEIGHT [mm] and --bin-pose, or --no-bin to search all"
             )
         return Workspace(T_world_bin=parse_pose(self.bin_pose, "T_world_bin"), inner_size=np.array(self.bin))
+
+    def finder(self, part: "PartModel", workspace: "Workspace | None") -> "GraspFinder | None":
+        """Return the search for grasps; None without one.
+
+        Raises:
+            FileNotFoundError: The file of the base's pose does not exist.
+            ValueError: An option has no meaning, or there is no grasp on the part.
+        """
+        from policies.frames import GraspFinder, Reach, parse_pose
+
+        if not self.grasps:
+            if self.jaw is not None or self.robot_base is not None:
+                raise ValueError("--jaw and --robot-base are about grasps: give --grasps, too")
+            return None
+        if self.robot_base is None:
+            return GraspFinder(part, jaw=self.jaw)
+        if workspace is None:
+            raise ValueError("the reach of a robot needs a bin: give --bin and --bin-pose, or leave out --robot-base")
+        T_world_base = parse_pose(self.robot_base, "T_world_base")
+        return GraspFinder(part, jaw=self.jaw, reach=Reach(T_world_base, workspace, self.jaw))
 
     def source(self) -> "FrameSource":
         """Return how the frames are read.
@@ -187,8 +213,9 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
         image_numbers(job.paths, names.scene_id)  # now, rather than when all frames are done
     part = load_part(args.part, unit=args.unit, symmetry=args.symmetry, symmetry_tolerance=args.symmetry_tolerance)
     perceiver = FramePerceiver(part.model, workspace, origin_in_file=part.file.origin if part.file else (0.0, 0.0, 0.0))
+    finder = args.finder(part.model, workspace)
     with tqdm(total=len(job.paths), unit="frame", smoothing=0.02, disable=len(job.paths) < 2) as bar:
-        for outcome in perceive_frames(job, perceiver):
+        for outcome in perceive_frames(job, perceiver, finder):
             outcomes.append(outcome)
             if outcome.values is None:
                 bar.write(f"error: {outcome.path}: {outcome.lines[0]}", file=sys.stderr)

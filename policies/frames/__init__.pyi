@@ -5,6 +5,8 @@ from .frame_perceiver import FramePerceiver as FramePerceiver
 from .frame_perceiver import workspace_of_depth as workspace_of_depth
 from .frame_record import FrameRecord as FrameRecord
 from .frame_record import frame_lines as frame_lines
+from .grasp_finder import FrameGrasp as FrameGrasp
+from .grasp_finder import GraspFinder as GraspFinder
 from .job import FrameJob as FrameJob
 from .job import FrameOutcome as FrameOutcome
 from .job import FrameSource as FrameSource
@@ -13,3 +15,4 @@ from .job import save_records as save_records
 from .overlay import draw_poses as draw_poses
 from .overlay import save_picture as save_picture
 from .pose_argument import parse_pose as parse_pose
+from .reach import Reach as Reach

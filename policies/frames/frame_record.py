@@ -11,12 +11,15 @@ from binpick_env.jobs.text_tables import columns, number, percent
 from perception.capture import ReadReport
 from perception.diagnosis import FrameReport
 from perception.frame import Frame
+from perception.geometry import invert_transform
 from perception.pipeline import Perception
 from perception.pose.pose_estimate import PoseEstimate
 from policies.frames.frame_perceiver import FramePerceiver
+from policies.frames.grasp_finder import FrameGrasp
 
 VERSION = 1  # version of the keys of a file of records
 HEADER = ("pose", "score", "surface", "visible", "x [mm]", "y [mm]", "z [mm]", "verified")
+GRASP_HEADER = ("pose", "grasp", "width [mm]", "opening [mm]", "x [mm]", "y [mm]", "z [mm]", "reachable")
 Values = dict[str, Any]
 
 
@@ -30,6 +33,7 @@ class FrameRecord:
         reading: What the reading of the file found.
         seen: Result of the pipeline.
         perceiver: Part, bin and weights that it was found with.
+        grasps: Grasps on the verified poses, best first; None if none were searched.
     """
 
     path: Path
@@ -37,6 +41,7 @@ class FrameRecord:
     reading: ReadReport
     seen: Perception
     perceiver: FramePerceiver
+    grasps: Sequence[FrameGrasp] | None = None
 
     @property
     def poses(self) -> list[tuple[PoseEstimate, bool]]:
@@ -69,6 +74,7 @@ class FrameRecord:
             "poses": [self._pose(pose, verified) for pose, verified in self.poses],
             "report": None if self.seen.report is None else asdict(self.seen.report),
             "ms": self.seen.ms,
+            "grasps": None if self.grasps is None else [_grasp_values(each) for each in self.grasps],
         }
 
     def _pose(self, pose: PoseEstimate, verified: bool) -> Values:
@@ -81,6 +87,19 @@ class FrameRecord:
             "visible_fraction": float(pose.visible_fraction),
             "verified": verified,
         }
+
+
+def _grasp_values(found: FrameGrasp) -> Values:
+    grasp = found.grasp
+    return {
+        "pose": grasp.candidate,
+        "T_world_grasp": grasp.T_world_grasp.tolist(),
+        "T_world_tcp": grasp.T_world_tcp.tolist(),
+        "width": grasp.width,
+        "opening": grasp.opening,
+        "score": grasp.score,
+        "reachable": found.reachable,
+    }
 
 
 def frame_lines(record: FrameRecord) -> list[str]:
@@ -99,6 +118,8 @@ def frame_lines(record: FrameRecord) -> list[str]:
         lines.append(f"no part was found: {_reason(record.seen.report)}")
     if record.poses:
         lines.append(columns([HEADER, *_rows(record.poses)]))
+    if record.grasps is not None and record.seen.poses:
+        lines += _grasp_lines(record, record.grasps)
     return lines
 
 
@@ -115,6 +136,28 @@ def _rows(poses: Sequence[tuple[PoseEstimate, bool]]) -> list[tuple[str, ...]]:
         )
         for k, (pose, verified) in enumerate(poses, start=1)
     ]
+
+
+def _grasp_lines(record: FrameRecord, grasps: Sequence[FrameGrasp]) -> list[str]:
+    """Return how many parts can be gripped, and the best grasp on each; positions are those of the fingertips' middle.
+
+    Grasps out of reach are listed only where there is no other on the part.
+    """
+    best: dict[int, FrameGrasp] = {}
+    for found in sorted(grasps, key=lambda found: found.reachable is False):
+        best.setdefault(found.grasp.candidate, found)
+    within = sum(found.reachable is True for found in best.values())
+    known = any(found.reachable is not None for found in best.values())
+    count = f"grasps clear of everything else on {len(best)} of {len(record.seen.poses)} parts"
+    lines = [f"{count}, {within} of these within reach" if known else count]
+    T_cam_world = invert_transform(record.frame.T_world_cam)
+    rows: list[tuple[str, ...]] = [GRASP_HEADER]
+    for pose, found in sorted(best.items()):
+        grasp, reachable = found.grasp, {None: "unknown", True: "yes", False: "no"}[found.reachable]
+        place = 1000 * (T_cam_world @ grasp.T_world_grasp)[:3, 3]
+        sizes = (number(1000 * grasp.width, 1), number(1000 * grasp.opening, 1))
+        rows.append((str(pose + 1), number(grasp.score, 3), *sizes, *(number(float(v), 1) for v in place), reachable))
+    return [*lines, columns(rows)] if best else lines
 
 
 def _reason(report: FrameReport | None) -> str:

@@ -10,12 +10,14 @@ from binpick_env.jobs.folder_config import ensure_same_config
 from perception.capture import ReadOptions, ReadReport, read_frame_with_report
 from perception.frame import Frame
 from perception.geometry import Floats
+from perception.pipeline import Perception
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, git_commit, versions
 from perception.shape import shape_signature
 from policies.frames.frame_files import STEM
-from policies.frames.frame_perceiver import FramePerceiver
+from policies.frames.frame_perceiver import FramePerceiver, workspace_of_depth
 from policies.frames.frame_record import VERSION, FrameRecord, Values, frame_lines
+from policies.frames.grasp_finder import FrameGrasp, GraspFinder
 from policies.frames.overlay import draw_poses, save_picture
 
 
@@ -103,20 +105,23 @@ class FrameOutcome:
     resumed: bool = False
 
 
-def perceive_frames(job: FrameJob, perceiver: FramePerceiver) -> Iterator[FrameOutcome]:
+def perceive_frames(
+    job: FrameJob, perceiver: FramePerceiver, finder: GraspFinder | None = None
+) -> Iterator[FrameOutcome]:
     """Yield the outcome of each frame, once its files are written.
 
     Args:
         job: Frames and folders.
         perceiver: Perception of the part.
+        finder: Search for grasps on the parts found; None searches none.
 
     Raises:
         ValueError: The folder holds results of other options, another part or another network.
     """
     if job.out is not None:
-        ensure_same_config(job.out / "config.json", _configuration(job, perceiver), "poses")
+        ensure_same_config(job.out / "config.json", _configuration(job, perceiver, finder), "poses")
     for path in job.paths:
-        yield _stored(job, path) or _perceived(job, path, perceiver)
+        yield _stored(job, path) or _perceived(job, path, perceiver, finder)
 
 
 def save_records(path: Path, outcomes: Sequence[FrameOutcome]) -> None:
@@ -133,13 +138,14 @@ def save_records(path: Path, outcomes: Sequence[FrameOutcome]) -> None:
     write_atomically(path, json_text(values))
 
 
-def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver) -> FrameOutcome:
+def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver, finder: GraspFinder | None) -> FrameOutcome:
     try:
         frame, reading = job.source.read(path)
         seen = perceiver.perceive(frame)
+        grasps = None if finder is None else _grasps(frame, seen, perceiver, finder)
     except (ValueError, OSError) as error:
         return FrameOutcome(path=path, values=None, lines=(str(error),))
-    record = FrameRecord(path=path, frame=frame, reading=reading, seen=seen, perceiver=perceiver)
+    record = FrameRecord(path=path, frame=frame, reading=reading, seen=seen, perceiver=perceiver, grasps=grasps)
     pictures = job.pictures(path)
     if pictures:
         picture = draw_poses(record)
@@ -150,6 +156,11 @@ def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver) -> FrameOut
     if numbers is not None:  # last: with it, the frame is finished
         save_records(numbers, [outcome])
     return outcome
+
+
+def _grasps(frame: Frame, seen: Perception, perceiver: FramePerceiver, finder: GraspFinder) -> list[FrameGrasp]:
+    workspace = workspace_of_depth(frame) if perceiver.workspace is None else perceiver.workspace
+    return finder.find(frame, workspace, seen.poses)
 
 
 def _stored(job: FrameJob, path: Path) -> FrameOutcome | None:
@@ -170,8 +181,14 @@ def _stored(job: FrameJob, path: Path) -> FrameOutcome | None:
     return FrameOutcome(path=path, values=values, lines=(line,), resumed=True)
 
 
-def _configuration(job: FrameJob, perceiver: FramePerceiver) -> Values:
+def _configuration(job: FrameJob, perceiver: FramePerceiver, finder: GraspFinder | None) -> Values:
     part, workspace = perceiver.part, perceiver.workspace
+    asked: Values = {}
+    if job.folder is not None:
+        asked["folder"] = str(job.folder.resolve())
+    if finder is not None:
+        base = None if finder.reach is None else finder.reach.T_world_base.tolist()
+        asked["grasps"] = {"jaw": finder.jaw, "T_world_base": base}
     return {
         "part": part.name,
         "shape": [round(value, 9) for value in shape_signature(part)],
@@ -180,5 +197,5 @@ def _configuration(job: FrameJob, perceiver: FramePerceiver) -> Values:
         "T_world_bin": None if workspace is None else workspace.T_world_bin.tolist(),
         "inner_size": None if workspace is None else workspace.inner_size.tolist(),
         **job.source.values(),
-        **({} if job.folder is None else {"folder": str(job.folder.resolve())}),
+        **asked,
     }

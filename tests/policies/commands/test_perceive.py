@@ -14,10 +14,11 @@ import binpick_env.parts
 from perception.capture import write_frame
 from perception.metrics.pose_errors import pose_error
 from perception.segmentation.predictor import SegmentationPredictor
-from policies.frames import frame_perceiver
+from policies.frames import frame_perceiver, grasp_finder
 from tests.perception.block_scene import BIN, ELL, POSES, KnowingPredictor, photographed, true_groups
 from tests.perception.pose.estimator_scene import quick_estimator
 from tests.policies.commands.command_calls import run
+from tests.policies.frames.test_grasp_finder import few_grasps
 
 FRAME, EMPTY = photographed(*POSES), photographed()
 ESTIMATOR = quick_estimator(ELL)
@@ -252,5 +253,37 @@ def test_another_folder_of_the_same_name_is_not_mixed_in(folder: Path) -> None:
 )
 def test_folders_without_a_meaning_are_refused(options: list[str], error: str, folder: Path) -> None:
     done = run("perceive", *options, *IN_BIN, cwd=folder)
+    assert done.returncode == 2
+    assert error in done.stderr
+
+
+def test_grasps_are_printed_and_written(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grasp_finder, "sample_grasps", few_grasps)
+    done = run("perceive", "full.npz", *IN_BIN, "--grasps", "--json", "full.json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    (frame,) = frames_in(folder / "full.json")
+    assert len(frame["grasps"]) >= 1
+    best = frame["grasps"][0]
+    assert best["reachable"] is None
+    assert frame["poses"][best["pose"]]["verified"]
+    lines = done.stdout.splitlines()
+    (start,) = (k for k, line in enumerate(lines) if line.startswith("grasps clear of everything else on "))
+    assert lines[start].endswith(" of 2 parts")
+    rows = [line.split() for line in lines[start + 2 :] if line.endswith("unknown")]
+    assert len(rows) == len({grasp["pose"] for grasp in frame["grasps"]})
+    (row,) = (row for row in rows if int(row[0]) == best["pose"] + 1)
+    assert float(row[2]) == pytest.approx(1000 * best["width"], abs=0.05)
+    assert float(row[4]) == pytest.approx(1000 * best["T_world_grasp"][0][3], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ([*IN_BIN, "--jaw", "0.05"], "--jaw and --robot-base are about grasps: give --grasps, too"),
+        (["--part", "ell.stl", "--no-bin", "--grasps", "--robot-base", *POSE], "the reach of a robot needs a bin"),
+    ],
+)
+def test_options_of_grasps_without_a_meaning_are_refused(options: list[str], error: str, folder: Path) -> None:
+    done = run("perceive", "full.npz", *options, cwd=folder)
     assert done.returncode == 2
     assert error in done.stderr
