@@ -1,7 +1,8 @@
 """``binpick perceive``: the poses of a part in frames of a real camera, and why some are lost."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,7 +15,7 @@ from policies.commands.command_line import exit_code, parse
 if TYPE_CHECKING:
     from perception.frame import Workspace
     from perception.part import PartModel
-    from policies.frames import FrameJob, FrameOutcome, FrameSource, GraspFinder
+    from policies.frames import FrameJob, FrameOutcome, FrameRecord, FrameSource, GraspFinder
 
 UNREAD = 1  # exit code where a frame could not be read
 
@@ -64,6 +65,7 @@ class Arguments:
     crop: tuple[int, int, int, int] | None = None  # part of the image to keep: u0, v0, width, height [px]
     quarter_turns: int = 0  # anticlockwise quarter turns of the image, after the crop
     json: Path | None = None  # JSON file for all frames
+    rerun: Path | None = None  # record all frames into this .rrd, for Rerun's viewer; nothing is resumed
     overlay: Path | None = None  # folder of a PNG file for each frame, with the outlines of the parts found
     grasps: bool = False  # search grasps of a 2F-85 that are clear of everything else measured
     jaw: float | None = None  # largest opening of the jaw [m]; the gripper's whole stroke of 0.085 m unless given
@@ -176,7 +178,12 @@ class Arguments:
         from policies.frames import FrameJob
 
         return FrameJob(
-            paths=self.paths(), source=self.source(), folder=self.frames_in, out=self.folder(), overlay=self.overlay
+            paths=self.paths(),
+            source=self.source(),
+            folder=self.frames_in,
+            out=self.folder(),
+            overlay=self.overlay,
+            fresh=self.rerun is not None,
         )
 
 
@@ -206,7 +213,10 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
     from binpick_env.parts import load_part
     from policies.frames import BopNames, FramePerceiver, perceive_frames, save_bop_results, save_records
     from policies.frames.bop import image_numbers
+    from policies.report.recording import check_recording
 
+    if args.rerun is not None:
+        check_recording(args.rerun)
     job, workspace = args.job(), args.workspace()
     names = BopNames(obj_id=args.bop_object, scene_id=args.bop_scene)
     if args.bop is not None:
@@ -214,9 +224,14 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
     part = load_part(args.part, unit=args.unit, symmetry=args.symmetry, symmetry_tolerance=args.symmetry_tolerance)
     perceiver = FramePerceiver(part.model, workspace, origin_in_file=part.file.origin if part.file else (0.0, 0.0, 0.0))
     finder = args.finder(part.model, workspace)
-    with tqdm(total=len(job.paths), unit="frame", smoothing=0.02, disable=len(job.paths) < 2) as bar:
+    with (
+        _recording(args.rerun) as record,
+        tqdm(total=len(job.paths), unit="frame", smoothing=0.02, disable=len(job.paths) < 2) as bar,
+    ):
         for outcome in perceive_frames(job, perceiver, finder):
-            outcomes.append(outcome)
+            if outcome.record is not None:
+                record(outcome.record)
+            outcomes.append(replace(outcome, record=None))  # which holds the frame
             if outcome.values is None:
                 bar.write(f"error: {outcome.path}: {outcome.lines[0]}", file=sys.stderr)
             else:
@@ -226,11 +241,23 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
         save_records(args.json, outcomes)
     if args.bop is not None:
         save_bop_results(args.bop, outcomes, names)
-    places = {"numbers": args.json, "BOP": args.bop, "results": job.out}
+    places = {"numbers": args.json, "BOP": args.bop, "recording": args.rerun, "results": job.out}
     ends = [f"{label:<9} {place}" for label, place in places.items() if place is not None]
     if len(outcomes) > 1:
         ends.insert(0, f"frames    {_counts(outcomes)}")
     return "\n".join(ends) or None
+
+
+@contextmanager
+def _recording(path: Path | None) -> Iterator[Callable[["FrameRecord"], None]]:
+    """Open a recording and yield what adds a frame to it; nothing does if the path is None."""
+    if path is None:
+        yield lambda _: None
+        return
+    from policies.report.frame_recording import FrameRecording
+
+    with FrameRecording(path) as recording:
+        yield recording.add
 
 
 def _counts(outcomes: Sequence["FrameOutcome"]) -> str:

@@ -59,6 +59,7 @@ class FrameJob:
     folder: Path | None = None  # folder that holds them all, if they were named by it
     out: Path | None = None  # folder of a JSON and a PNG file for each frame; None keeps none
     overlay: Path | None = None  # folder of a PNG file for each frame; None draws none
+    fresh: bool = False  # perceive frames again whose results are there already
 
     def __post_init__(self) -> None:
         if not self.paths:
@@ -97,12 +98,14 @@ class FrameOutcome:
         values: Record of the frame as JSON values; None if it could not be read.
         lines: What to print about it; the error of a frame that could not be read.
         resumed: Whether its results were there already.
+        record: What was found in the frame; None if it could not be read, or was there already.
     """
 
     path: Path
     values: Values | None
     lines: tuple[str, ...]
     resumed: bool = False
+    record: FrameRecord | None = None
 
 
 def perceive_frames(
@@ -151,7 +154,7 @@ def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver, finder: Gra
         picture = draw_poses(record)
         for file in pictures:
             save_picture(picture, file)
-    outcome = FrameOutcome(path=path, values=record.values(), lines=tuple(frame_lines(record)))
+    outcome = FrameOutcome(path=path, values=record.values(), lines=tuple(frame_lines(record)), record=record)
     numbers = job.numbers(path)
     if numbers is not None:  # last: with it, the frame is finished
         save_records(numbers, [outcome])
@@ -166,7 +169,7 @@ def _grasps(frame: Frame, seen: Perception, perceiver: FramePerceiver, finder: G
 def _stored(job: FrameJob, path: Path) -> FrameOutcome | None:
     """Return the outcome of a frame whose files are all there; None if one is missing or damaged."""
     numbers = job.numbers(path)
-    if numbers is None or not all(file.exists() for file in (numbers, *job.pictures(path))):
+    if job.fresh or numbers is None or not all(file.exists() for file in (numbers, *job.pictures(path))):
         return None
     try:
         content: Any = json.loads(numbers.read_text())

@@ -35,7 +35,7 @@ class Recording(BinListener):
     def bin_settled(self, env: BinPickEnv) -> str:
         """Open the file and write the shapes of the cell."""
         scene = importlib.import_module("policies.report.recording_scene")  # needs Rerun, an extra
-        self._log = scene.SceneLog(_draft(self._path), env)
+        self._log = scene.SceneLog(draft_of(self._path), env)
         return ""
 
     def before_decision(self, env: BinPickEnv) -> None:
@@ -67,11 +67,11 @@ class Recording(BinListener):
         try:
             if error is None:
                 self._log.close()
-                _draft(self._path).replace(self._path)
+                draft_of(self._path).replace(self._path)
             else:
                 self._log.abandon()
         finally:
-            _draft(self._path).unlink(missing_ok=True)
+            draft_of(self._path).unlink(missing_ok=True)
             self._log = None
 
 
@@ -95,11 +95,12 @@ def check_recording(path: Path) -> None:
         raise ValueError(f"a recording is a file, but {path} is a folder")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _draft(path).touch()
-        _draft(path).unlink()
+        draft_of(path).touch()
+        draft_of(path).unlink()
     except OSError as error:
         raise ValueError(f"no recording can be written to {path}: {error.strerror}") from error
 
 
-def _draft(path: Path) -> Path:
+def draft_of(path: Path) -> Path:
+    """Return the file that a recording is written to until it is complete."""
     return path.with_name(f".{path.stem}.draft.rrd")

@@ -98,10 +98,10 @@ class SceneLog:
         """
         env, stream = self._env, self._stream
         self._at(env.simulation.time, pick)
-        _log_camera(stream, env.frame)
-        stream.log("world/seen/cloud", _cloud(env.frame))
+        log_camera(stream, env.frame)
+        stream.log("world/seen/cloud", frame_cloud(env.frame))
         if env.observed.perception is not None:
-            stream.log("world/seen/segments", _segments(env.frame, env.observed.perception))
+            stream.log("world/seen/segments", segment_points(env.frame, env.observed.perception))
         T_world: Floats = np.array([each.T_world_part for each in env.candidates]).reshape(-1, 4, 4)
         translations, quaternions, scales = instance_poses(pack(T_world))
         poses = rr.InstancePoses3D(translations=translations, quaternions=quaternions, scales=scales)
@@ -200,21 +200,26 @@ def shaded_mesh(vertices: Floats, faces: NDArray[np.int32], colour: tuple[int, .
     )
 
 
-def jaw_lines(grasp: GraspCandidate) -> rr.LineStrips3D:
-    """Return lines of the open jaw (thin), the closed jaw (thick) and the last 10 cm of the approach."""
-    strips: list[list[Vector]] = [[(0, 0, -_APPROACH_LENGTH), (0, 0, -_FINGER)]]
-    radii, colours = [0.0004], [_APPROACH]
-    for gap, radius in ((grasp.opening, 0.0004), (grasp.width, 0.001)):
-        half = gap / 2
-        strips.append([(0, -half, 0), (0, -half, -_FINGER), (0, half, -_FINGER), (0, half, 0)])
-        strips += [[(-_PAD, side, 0), (_PAD, side, 0)] for side in (-half, half)]
-        radii += 3 * [radius]
-        colours += 3 * [_JAW]
-    lines = [transform_points(grasp.T_world_grasp, np.array(strip, np.float64)) for strip in strips]
+def jaw_lines(*grasps: GraspCandidate) -> rr.LineStrips3D:
+    """Return lines of the open jaws (thin), the closed jaws (thick) and the last 10 cm of the approaches."""
+    lines: list[Floats] = []
+    radii: list[float] = []
+    colours: list[tuple[int, int, int]] = []
+    for grasp in grasps:
+        strips: list[list[Vector]] = [[(0, 0, -_APPROACH_LENGTH), (0, 0, -_FINGER)]]
+        radii.append(0.0004)
+        colours.append(_APPROACH)
+        for gap, radius in ((grasp.opening, 0.0004), (grasp.width, 0.001)):
+            half = gap / 2
+            strips.append([(0, -half, 0), (0, -half, -_FINGER), (0, half, -_FINGER), (0, half, 0)])
+            strips += [[(-_PAD, side, 0), (_PAD, side, 0)] for side in (-half, half)]
+            radii += 3 * [radius]
+            colours += 3 * [_JAW]
+        lines += [transform_points(grasp.T_world_grasp, np.array(strip, np.float64)) for strip in strips]
     return rr.LineStrips3D(lines, radii=radii, colors=colours)
 
 
-def _cloud(frame: Frame) -> rr.Points3D:
+def frame_cloud(frame: Frame) -> rr.Points3D:
     """Return the frame's points on a regular grid of pixels, in the image's grey."""
     step = max(1, int(np.ceil(np.sqrt(frame.valid.sum() / CLOUD_POINTS))))
     seen = frame.valid[::step, ::step]
@@ -224,7 +229,7 @@ def _cloud(frame: Frame) -> rr.Points3D:
     return rr.Points3D(transform_points(frame.T_world_cam, points_cam), colors=grey, radii=0.6 * pitch)
 
 
-def _segments(frame: Frame, perception: "Perception") -> rr.Points3D:
+def segment_points(frame: Frame, perception: "Perception") -> rr.Points3D:
     """Return the boundary points in the colours of their segments."""
     labels = labels_of(perception.segments, len(perception.boundary))
     colours = np.vstack([part_colours(len(perception.segments))[:, ::-1], [_NO_SEGMENT]])[labels]
@@ -232,7 +237,8 @@ def _segments(frame: Frame, perception: "Perception") -> rr.Points3D:
     return rr.Points3D(points_world, colors=colours, radii=rr.Radius.ui_points(1.5))
 
 
-def _log_camera(stream: rr.RecordingStream, frame: Frame) -> None:
+def log_camera(stream: rr.RecordingStream, frame: Frame) -> None:
+    """Write the pose and the matrix of a frame's camera, and its grey image."""
     height, width = frame.grey.shape
     T = frame.T_world_cam
     pinhole = rr.Pinhole(image_from_camera=frame.K, width=width, height=height, image_plane_distance=0.08)

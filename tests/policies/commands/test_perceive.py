@@ -15,10 +15,12 @@ from perception.capture import write_frame
 from perception.metrics.pose_errors import pose_error
 from perception.segmentation.predictor import SegmentationPredictor
 from policies.frames import frame_perceiver, grasp_finder
+from policies.report import frame_recording
 from tests.perception.block_scene import BIN, ELL, POSES, KnowingPredictor, photographed, true_groups
 from tests.perception.pose.estimator_scene import quick_estimator
 from tests.policies.commands.command_calls import run
 from tests.policies.frames.test_grasp_finder import few_grasps
+from tests.rerun_rows import rows_of
 
 FRAME, EMPTY = photographed(*POSES), photographed()
 ESTIMATOR = quick_estimator(ELL)
@@ -287,3 +289,34 @@ def test_options_of_grasps_without_a_meaning_are_refused(options: list[str], err
     done = run("perceive", "full.npz", *options, cwd=folder)
     assert done.returncode == 2
     assert error in done.stderr
+
+
+def test_a_recording_holds_all_frames_and_nothing_is_resumed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grasp_finder, "sample_grasps", few_grasps)
+    call = ["full.npz", "empty.json", *IN_BIN, "--out", "found", "--grasps"]
+    assert run("perceive", *call, cwd=folder).returncode == 0
+    done = run("perceive", *call, "--rerun", "new/seen.rrd", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "already there" not in done.stdout
+    assert "recording new/seen.rrd" in done.stdout
+    rows = rows_of(folder / "new" / "seen.rrd")
+    for entity in ("seen/cloud", "seen/segments", "seen/scores", "bin", "grasps"):
+        assert rows[f"/world/{entity}"] == 2, entity
+    assert rows["/world/seen/poses"] == 3  # the shape, and the poses in each frame
+    assert rows["/report"] == 2
+    assert [path.name for path in (folder / "new").iterdir()] == ["seen.rrd"]
+
+
+def test_a_stopped_run_leaves_no_recording(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(frame_recording, "frame_cloud", stop)
+    assert run("perceive", "full.npz", *IN_BIN, "--rerun", "new/seen.rrd", cwd=folder).returncode == 130
+    assert list((folder / "new").iterdir()) == []
+
+
+def test_a_recordings_name_is_checked_before_anything_is_perceived(folder: Path) -> None:
+    done = run("perceive", "full.npz", *IN_BIN, "--rerun", "seen.mp4", cwd=folder)
+    assert done.returncode == 2
+    assert "a recording's name must end in .rrd, got 'seen.mp4'" in done.stderr
