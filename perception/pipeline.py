@@ -3,13 +3,15 @@
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from perception.bin import BinFit, Trust, check_trust, find_bin, reconcile
 from perception.boundary import BoundaryCloud, extract_boundary
-from perception.diagnosis import FrameReport, PoseCounts, diagnose, log_causes
+from perception.diagnosis import BinFacts, FrameReport, PoseCounts, diagnose, log_causes
 from perception.frame import Frame, Workspace
+from perception.geometry import Floats
 from perception.instance import Instance
 from perception.part import PartModel
 from perception.pose.estimator import PoseEstimator
@@ -21,7 +23,7 @@ from perception.segmentation.surface import coarse_surface
 if TYPE_CHECKING:  # importing it loads torch, which only a network needs
     from perception.segmentation.predictor import SegmentationPredictor
 
-STAGES = ("boundary", "segmentation", "poses", "explanation")
+STAGES = ("bin", "boundary", "segmentation", "poses", "explanation")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,9 +36,12 @@ class Perception:
         groups: The segments, and after them the points that poses left over of some: parts that were merged.
         poses: Verified poses of parts, best first; ``instance_idx`` is an index into ``groups``.
         instances: Groups of boundary points after the poses have explained points, best first.
-        ms: Wall clock of each of `STAGES` [ms].
+        ms: Wall clock of each of `STAGES` [ms]; without "bin" if the bin was taken as given.
         estimates: Best pose of each of the ``groups``, verified or not; None for a group without a pose.
         report: Facts of the frame and likely causes of lost parts; its time is no part of ``ms``.
+        bin: The bin as the frame shows it; None if it was taken as given.
+        workspace: The bin that poses were searched in.
+        T_world_cam: (4, 4) camera pose that goes with it: that of the frame, or the corrected one.
     """
 
     boundary: BoundaryCloud
@@ -47,6 +52,9 @@ class Perception:
     ms: dict[str, float]
     estimates: list[PoseEstimate | None] = field(default_factory=list)
     report: FrameReport | None = None
+    bin: BinFit | None = None
+    workspace: Workspace | None = None
+    T_world_cam: Floats | None = None
 
 
 class Pipeline:
@@ -55,19 +63,53 @@ class Pipeline:
     Attributes:
         predictor: Segmentation of boundary points.
         estimator: Pose estimation of segments.
-        workspace: Pose and size of the bin.
+        workspace: Pose and size of the bin, as they are believed to be.
+        measure_bin: Whether the bin's pose is measured in each frame.
+        trust: What is corrected where the frame shows the bin elsewhere; see :func:`perception.bin.reconcile`.
     """
 
-    def __init__(self, predictor: "SegmentationPredictor", estimator: PoseEstimator, workspace: Workspace) -> None:
+    def __init__(
+        self,
+        predictor: "SegmentationPredictor",
+        estimator: PoseEstimator,
+        workspace: Workspace,
+        *,
+        measure_bin: bool = True,
+        trust: Trust = "camera",
+    ) -> None:
+        """Put the stages together.
+
+        Args:
+            predictor: Segmentation of boundary points.
+            estimator: Pose estimation of segments.
+            workspace: Pose and size of the bin, as they are believed to be.
+            measure_bin: Whether to measure the bin's pose in each frame, starting from that of ``workspace``.
+            trust: "camera" if the camera's pose is right and the bin may have moved; "bin" if the bin stands where it
+                is said to be, and what is measured corrects the camera's pose.
+
+        Raises:
+            ValueError: ``trust`` is neither of the two.
+        """
+        check_trust(trust)
         self.predictor = predictor
         self.estimator = estimator
         self.workspace = workspace
+        self.measure_bin = measure_bin
+        self.trust = trust
 
     @classmethod
-    def for_part(cls, part: PartModel, workspace: Workspace) -> "Pipeline":
+    def for_part(
+        cls, part: PartModel, workspace: Workspace, *, measure_bin: bool = True, trust: Trust = "camera"
+    ) -> "Pipeline":
         """Return the pipeline for a part, with the weights of its own or those for every part.
 
         Building the models of a part takes seconds the first time; later they come from the cache.
+
+        Args:
+            part: Part to search for.
+            workspace: Pose and size of the bin, as they are believed to be.
+            measure_bin: Whether to measure the bin's pose in each frame.
+            trust: What is corrected where the frame shows the bin elsewhere; see :class:`Pipeline`.
 
         Raises:
             WeightsError: There are neither weights of the part nor for every part.
@@ -75,16 +117,32 @@ class Pipeline:
         """
         from perception.segmentation.predictor import SegmentationPredictor
 
-        return cls(SegmentationPredictor.for_part(part), PoseEstimator(part, workspace=workspace), workspace)
+        predictor, estimator = SegmentationPredictor.for_part(part), PoseEstimator(part, workspace=workspace)
+        return cls(predictor, estimator, workspace, measure_bin=measure_bin, trust=trust)
 
     def perceive(self, frame: Frame) -> Perception:
-        """Return the poses of the parts in a frame; none for an empty bin or a frame without depth."""
+        """Return the poses of the parts in a frame; none for an empty bin or a frame without depth.
+
+        Where the measurement of the bin is not reliable, its given pose is kept, and the report says why.
+        """
+        if not self.measure_bin:
+            return self._perceive(frame, self.workspace)
+        started = time.perf_counter()
+        fit = find_bin(frame, self.workspace.inner_size, self.workspace)
+        corrected, workspace = reconcile(frame, self.workspace, fit, self.trust)
+        ms = {"bin": 1000 * (time.perf_counter() - started)}
+        seen = self._perceive(corrected, workspace)
+        report = None if seen.report is None else replace(seen.report, bin=BinFacts.of(fit, self.workspace))
+        return replace(seen, bin=fit, report=report, ms=ms | seen.ms)
+
+    def _perceive(self, frame: Frame, workspace: Workspace) -> Perception:
+        """Return the poses in a frame of a bin whose pose is known."""
         d_max = self.estimator.part.d_max
 
         def segment(boundary: BoundaryCloud) -> list[Instance]:
-            return self.predictor.predict(boundary, coarse_surface(frame, self.workspace, d_max), d_max)
+            return self.predictor.predict(boundary, coarse_surface(frame, workspace, d_max), d_max)
 
-        return perceive_by(segment, self.estimator, frame, self.workspace)
+        return perceive_by(segment, self.estimator, frame, workspace)
 
 
 def perceive_by(
@@ -96,8 +154,9 @@ def perceive_by(
         segment: Returns the groups of a boundary cloud, best first.
         estimator: Pose estimation of segments.
         frame: Frame of the camera.
-        workspace: Pose and size of the bin.
+        workspace: Pose and size of the bin, which are taken as they are.
     """
+    estimator = estimator.within(workspace)
     clock = [time.perf_counter()]
     boundary = extract_boundary(frame, workspace)
     clock.append(time.perf_counter())
@@ -116,7 +175,7 @@ def perceive_by(
     counts = _count_poses(estimates, poses, missed, estimator.config.min_score)
     report = diagnose(frame, workspace, estimator.part, boundary, counts)
     log_causes(report)
-    ms = {name: 1000 * (b - a) for name, (a, b) in zip(STAGES, pairwise(clock), strict=True)}
+    ms = {name: 1000 * (b - a) for name, (a, b) in zip(STAGES[1:], pairwise(clock), strict=True)}
     return Perception(
         boundary=boundary,
         segments=segments,
@@ -126,6 +185,8 @@ def perceive_by(
         ms=ms,
         estimates=estimates,
         report=report,
+        workspace=workspace,
+        T_world_cam=frame.T_world_cam,
     )
 
 

@@ -98,7 +98,8 @@ def learned_perceiver(part: PartModel, workspace: Workspace, threads: int | None
     from perception.segmentation.weights import WeightsError
 
     try:
-        pipeline = Pipeline.for_part(part, workspace)
+        # The cell's bin stands where its model says, so that measuring it would cost time and gain nothing.
+        pipeline = Pipeline.for_part(part, workspace, measure_bin=False)
     except WeightsError as error:
         raise WeightsError(
             f"perception='learned' cannot recognise {part.name!r}: {error}; without a network there are "

@@ -1,3 +1,4 @@
+from .bin_facts import BinFacts as BinFacts
 from .frame_diagnosis import diagnose as diagnose
 from .log import log_causes as log_causes
 from .report import Cause as Cause

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
+from perception.diagnosis.bin_facts import BinFacts
+
 CauseName = Literal[
     "depth_unit",
     "missing_depth",
@@ -78,6 +80,7 @@ class FrameReport:
         part_pixels: Expected length of a part in the image, along its largest extent [px]; None without depth.
         poses: What became of the groups; None if no poses were estimated.
         causes: Likely causes, those to settle first first; empty for a good frame.
+        bin: What was measured of the bin; None if it was taken as given.
     """
 
     pixels: int
@@ -88,6 +91,7 @@ class FrameReport:
     part_pixels: float | None
     poses: PoseCounts | None
     causes: tuple[Cause, ...]
+    bin: BinFacts | None = None
 
     def __str__(self) -> str:
         depth = "no depth" if self.median_depth is None else f"median depth {self.median_depth:.4g} m"
@@ -95,6 +99,8 @@ class FrameReport:
             f"bin in the image: {self.pixels} pixels, {100 * self.depth_share:.1f} % with depth, {depth}",
             f"boundary points: {self.boundary_points} in the bin, {self.outside} edge points outside its box",
         ]
+        if self.bin is not None:
+            lines.append(str(self.bin))
         if self.part_pixels is not None:
             lines.append(f"a part is about {self.part_pixels:.0f} pixels long")
         if self.poses is not None:

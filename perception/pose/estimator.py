@@ -5,6 +5,7 @@ clustered modulo symmetry, and the cluster representatives are the hypotheses th
 """
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -82,6 +83,14 @@ class PoseEstimator:
             near_symmetries=near_symmetries(part, self.surface, self.config.near_symmetry),
             same_surface=SameSurface(self.surface),
         )
+
+    def within(self, workspace: Workspace) -> "PoseEstimator":
+        """Return this estimator for another bin, with the same models; itself if it knows no bin."""
+        if self.workspace is None or self.workspace is workspace:
+            return self
+        other = copy(self)
+        other.workspace = workspace
+        return other
 
     def estimate(self, boundary: BoundaryCloud, instances: Sequence[Instance], frame: Frame) -> list[PoseEstimate]:
         """Return the verified poses of groups of boundary points, best first and each part once.
