@@ -14,6 +14,7 @@ SensorPreset = Literal["none", "good", "harsh", "stereo", "tof"]
 SensorChoice = SensorPreset | Literal["mixed", "all"]  # mixed, all: a preset drawn for each scene
 AppearanceChoice = Literal["clean", "varied"]  # varied: an appearance drawn for each scene
 Perception = Literal["oracle", "gt_masks", "learned"]  # what finds the parts in a frame
+Trust = Literal["camera", "bin"]  # what is right where a frame shows the bin elsewhere than it is said to be
 GRIPPER_STROKE = 0.085  # largest distance between the 2F-85's pads [m]: its data sheet
 
 
@@ -86,6 +87,23 @@ class CameraConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CalibrationConfig:
+    """How well the camera's orientation is known, and whether the bin in its frames corrects its pose.
+
+    The error of its position is :attr:`CameraConfig.hand_eye`.
+    """
+
+    rotation: float = 0.0  # standard deviation per axis of the reported orientation's error [rad]; drawn for each bin
+    # "camera" takes the reported pose as it is, "bin" corrects it by the bin, which is measured in each frame
+    trust: Trust = "camera"
+
+    def __post_init__(self) -> None:
+        _require(0 <= self.rotation <= 0.06, f"rotation must be from 0 to 0.06 rad, got {self.rotation}")
+        known = get_args(Trust)
+        _require(self.trust in known, f"trust must be one of {', '.join(known)}, got {self.trust!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class RobotConfig:
     """Mounting of the arm, limits of its motion, and the gripper."""
 
@@ -129,6 +147,7 @@ class CellConfig:
     tray: TrayConfig = field(default_factory=TrayConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     camera: CameraConfig = field(default_factory=CameraConfig)
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     timestep: float = 0.002  # time step of the physics [s]; the control period is a whole number of steps
 
     def __post_init__(self) -> None:

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from binpick_env.camera.depth_camera import DepthCamera
+from binpick_env.camera.depth_camera import Capture, DepthCamera
 from binpick_env.camera.sensor import sensor_model
 from binpick_env.camera.shading import Light
 from binpick_env.candidates import MAX_CANDIDATES, pad_candidates
@@ -19,7 +19,7 @@ from binpick_env.cell.render import CellRenderer
 from binpick_env.cell.robot import HOME
 from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
-from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorPreset
+from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorPreset, Trust
 from binpick_env.env_spaces import Observation, ObsMode, action_limits, observation_boxes, observe
 from binpick_env.episode import EpisodeProperties, EpisodeState, FrameState, Snapshot
 from binpick_env.observation.factory import make_perceiver
@@ -31,6 +31,7 @@ from binpick_env.part_limits import check_part
 from binpick_env.parts.part import Part, resolve_part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
+from perception.bin import find_bin, reconcile
 from perception.frame import Workspace
 from perception.geometry import Floats
 
@@ -102,9 +103,11 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     | `height` | `None` | height of the image [px]; 960 unless given |
     | `hand_eye_mm` | `None` | standard deviation per axis of the error of the camera's reported position [mm]; 0 unless given |
     | `camera` | `None` | a `CameraConfig`, in place of the four options before |
+    | `hand_eye_deg` | `None` | standard deviation per axis of the error of the camera's reported orientation [deg]; 0 unless given |
+    | `trust` | `None` | `"bin"` corrects the camera's reported pose by the bin, which is measured in each frame; `"camera"` (the default) takes it as it is |
     | `pose_noise` | `None` | errors of the oracle's poses: a `PoseNoise`, a `PerceptionNoise`, or `"learned"` for those of the learned perceiver on this part or parts like it, under this sensor |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
-    | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts, camera, in place of the options `bin` to `hand_eye_mm` |
+    | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts, camera, in place of the options `bin` to `hand_eye_mm`, `hand_eye_deg` and `trust` |
     | `threads` | `None` | number of threads of the ray caster, and of torch and OpenCV in perception; all cores unless given |
     | `render_mode` | `None` | `"rgb_array"`, `"depth_array"` (the camera's view) or `"human"` (MuJoCo's viewer) |
 
@@ -141,6 +144,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         height: int | None = None,
         hand_eye_mm: float | None = None,
         friction: float | None = None,
+        hand_eye_deg: float | None = None,
+        trust: Trust | None = None,
     ) -> None:
         cell = {
             "bin": bin,
@@ -150,6 +155,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             "height": height,
             "hand_eye_mm": hand_eye_mm,
             "friction": friction,
+            "hand_eye_deg": hand_eye_deg,
+            "trust": trust,
         }
         # A pickled copy is made anew from these; it is the same cell from its first reset(seed) on.
         EzPickle.__init__(
@@ -213,7 +220,14 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         self._judge = DeliveryJudge(self.simulation, CONTROL_PERIOD)
         spread = self.config.camera.hand_eye
         hand_eye = self.np_random.normal(scale=spread, size=3) if spread > 0 else np.zeros(3)
-        self._episode = EpisodeState(total=count, hand_eye=hand_eye, frame=self._take_frame(hand_eye, number=0))
+        turn = self.config.calibration.rotation
+        rotation = self.np_random.normal(scale=turn, size=3) if turn > 0 else np.zeros(3)
+        self._episode = EpisodeState(
+            total=count,
+            hand_eye=hand_eye,
+            frame=self._take_frame((hand_eye, rotation), number=0),
+            hand_eye_rotation=rotation,
+        )
         return self._observation(), self._info([])
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -283,7 +297,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
                 nothing to do in the last frame.
         """
         episode = self.episode
-        frame = self._take_frame(episode.hand_eye, episode.frame.number + 1, likely=likely)
+        frame = self._take_frame(self._hand_eye(), episode.frame.number + 1, likely=likely)
         self._episode = replace(episode, frame=frame)
         return self._observation()
 
@@ -318,13 +332,23 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
 
     # --- inside ----------------------------------------------------------------------------------------------------
 
-    def _take_frame(self, hand_eye: Floats, number: int, *, likely: bool = False) -> FrameState:
-        """Take a frame from a camera whose reported position is off by (3,) ``hand_eye`` [m], and perceive it."""
+    def _hand_eye(self) -> tuple[Floats, Floats]:
+        """Return the offset [m] and the rotation vector [rad] from the camera's true pose to its reported one."""
+        return self.episode.hand_eye, self.episode.hand_eye_rotation
+
+    def _take_frame(self, hand_eye: tuple[Floats, Floats], number: int, *, likely: bool = False) -> FrameState:
+        """Take a frame from a camera whose reported pose is off by an offset and a rotation vector, and perceive it."""
         simulation = self.simulation
         simulation.refresh()
         started = time.perf_counter()
-        self.camera.displace(hand_eye)
+        self.camera.displace(*hand_eye)
         capture = self.camera.capture(simulation.data, self.np_random, self._sensor, self.light)
+        captured = time.perf_counter()
+        offset = hand_eye[0]
+        if self.config.calibration.trust == "bin":
+            capture = self._corrected(capture)
+            offset = capture.frame.T_world_cam[:3, 3] - capture.T_world_cam[:3, 3]
+        corrected = time.perf_counter()
         poses = simulation.part_poses()
         labelled = LabelledCapture(
             capture=capture,
@@ -332,9 +356,9 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             part=self.part.model,
             T_world_parts=poses,
             visible_fractions=visible_fractions(capture, self.part.model.mesh, poses) * simulation.in_play,
-            hand_eye=hand_eye,
+            hand_eye=offset,
         )
-        rendered = time.perf_counter()
+        labelled_at = time.perf_counter()
         observed = self._perceiver.perceive(labelled, self.np_random, likely=likely)
         perceived = time.perf_counter()
         candidates = observed.candidates[:MAX_CANDIDATES]
@@ -347,9 +371,14 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             mask=mask,
             number=number,
             time=simulation.time,
-            render_time=rendered - started,
-            perception_time=perceived - rendered,
+            render_time=captured - started + labelled_at - corrected,
+            perception_time=perceived - labelled_at + corrected - captured,
         )
+
+    def _corrected(self, capture: Capture) -> Capture:
+        """Return a capture whose frame states the camera's pose by which it sees the bin where the bin stands."""
+        fit = find_bin(capture.frame, self.workspace.inner_size, self.workspace)
+        return replace(capture, frame=reconcile(capture.frame, self.workspace, fit, "bin")[0])
 
     def _watch_home(self) -> None:
         """Take a frame when the arm is back home after having left."""
@@ -358,7 +387,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         if distance > AWAY:
             self._episode = replace(episode, away=True)
         elif distance < HOME_ZONE and episode.away:
-            frame = self._take_frame(episode.hand_eye, episode.frame.number + 1)
+            frame = self._take_frame(self._hand_eye(), episode.frame.number + 1)
             self._episode = replace(episode, away=False, frame=frame)
 
     def _observation(self) -> Observation:

@@ -1,6 +1,6 @@
 """The state of an episode: what an environment remembers beside its physics, and a snapshot of both."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,7 @@ class EpisodeState:
     Attributes:
         total: Number of parts that were dropped into the bin.
         hand_eye: (3,) offset from the camera's true position to its reported one, world axes [m].
+        hand_eye_rotation: (3,) rotation vector from its true orientation to its reported one, camera frame [rad].
         frame: Last frame.
         events: How parts left play so far, in order of time.
         steps: Number of control steps so far.
@@ -62,6 +63,7 @@ class EpisodeState:
     events: tuple[DeliveryEvent, ...] = ()
     steps: int = 0
     away: bool = False
+    hand_eye_rotation: Floats = field(default_factory=lambda: np.zeros(3))
 
     @property
     def delivered(self) -> int:

@@ -8,12 +8,14 @@ import numpy as np
 from binpick_env.config import (
     Backend,
     BinConfig,
+    CalibrationConfig,
     CameraConfig,
     CellConfig,
     ContactConfig,
     RobotConfig,
     SensorPreset,
     TrayConfig,
+    Trust,
 )
 from binpick_env.parts.density import check_density
 from binpick_env.parts.symmetry_tolerance import check_symmetry_tolerance
@@ -24,10 +26,11 @@ if TYPE_CHECKING:
 
 MAX_FRICTION = 2.0  # rubber on dry concrete reaches 1; what exceeds this is a percentage or a mistake
 MAX_HAND_EYE_MM = 15.0  # [mm]; the limit of `CameraConfig.hand_eye`
+MAX_HAND_EYE_DEG = 3.0  # [deg]; about the limit of `CalibrationConfig.rotation`
 _PEDESTAL_HALF = 0.09  # half the side of the robot's pedestal, which stands at the world's origin [m]
 # The arguments of an environment that hold other options: what may not be given beside them.
 _IN_CAMERA = ("camera_distance", "width", "height", "hand_eye_mm")
-_IN_CONFIG = ("bin", "jaw", "friction", *_IN_CAMERA)
+_IN_CONFIG = ("bin", "jaw", "friction", "hand_eye_deg", "trust", *_IN_CAMERA)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +52,8 @@ class CellOptions:
     sensor: SensorPreset = "good"  # noise of the depth image
     hand_eye_mm: float = 0.0  # standard deviation per axis of the error of the camera's reported position [mm]
     friction: float | None = None  # sliding friction coefficient of parts, bin and tray; the cell's own unless given
+    hand_eye_deg: float = 0.0  # standard deviation per axis of the error of the camera's reported orientation [deg]
+    trust: Trust = "camera"  # "bin" corrects the camera's reported pose by the bin, which is measured in each frame
 
     def __post_init__(self) -> None:
         if self.unit is not None:
@@ -70,6 +75,8 @@ class CellOptions:
             )
         if not 0 <= self.hand_eye_mm <= MAX_HAND_EYE_MM:
             raise ValueError(f"hand_eye_mm must be from 0 to {MAX_HAND_EYE_MM:g} mm, got {self.hand_eye_mm}")
+        if not 0 <= self.hand_eye_deg <= MAX_HAND_EYE_DEG:
+            raise ValueError(f"hand_eye_deg must be from 0 to {MAX_HAND_EYE_DEG:g} degrees, got {self.hand_eye_deg}")
         if self.friction is not None and not 0 <= self.friction <= MAX_FRICTION:
             raise ValueError(f"friction must be from 0 to {MAX_FRICTION:g}, got {self.friction}")
         self.cell()  # what the cell's own settings refuse: jaw, image size, backend
@@ -122,13 +129,16 @@ class CellOptions:
             robot=RobotConfig(jaw=self.jaw),
             contact=contact,
             camera=camera,
+            calibration=CalibrationConfig(rotation=float(np.deg2rad(self.hand_eye_deg)), trust=self.trust),
         )
 
 
 def evaluated(options: CellOptions) -> dict[str, Any]:
     """Return options as the fields of an evaluation of picks, which has the camera as a whole."""
     names = ("part", "unit", "symmetry", "symmetry_tolerance", "density", "bin", "jaw", "sensor", "friction")
-    return {**{name: getattr(options, name) for name in names}, "camera": options.cell().camera}
+    values = {name: getattr(options, name) for name in names}
+    calibration = {"hand_eye_deg": options.hand_eye_deg or None, "trust": "bin" if options.trust == "bin" else None}
+    return {**values, **calibration, "camera": options.cell().camera}
 
 
 def scenes_of(options: CellOptions) -> dict[str, Any]:

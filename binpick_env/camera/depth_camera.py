@@ -20,7 +20,7 @@ from binpick_env.camera.surface import deviate, label_albedo, part_pixels
 from binpick_env.camera.view import Hits, View, geoms_in_camera, visible_geoms
 from binpick_env.config import CameraConfig, SensorPreset
 from perception.frame import Frame, Workspace, bin_region
-from perception.geometry import Floats, camera_matrix, make_transform, require_shape
+from perception.geometry import Floats, camera_matrix, make_transform, require_shape, rotation_about
 
 MARGIN = 0.03  # width of the rendered border around the bin's inner box [m]: its walls and a little of the table
 HEADROOM = 0.03  # height above the rim that is rendered, for a heaped pile [m]
@@ -103,10 +103,27 @@ class DepthCamera:
         self.T_world_cam = np.array(T_world_cam, np.float64)
         self.displace(np.zeros(3))
 
-    def displace(self, offset_world: Floats) -> None:
-        """Report a position that is off by (3,) ``offset_world`` [m], as after an inexact hand-eye calibration."""
+    def displace(self, offset_world: Floats, rotation_cam: Floats | None = None) -> None:
+        """Report another pose than the true one, as after an inexact hand-eye calibration.
+
+        Args:
+            offset_world: (3,) offset of the reported position [m].
+            rotation_cam: (3,) rotation vector from the true orientation to the reported one, camera frame [rad]; none
+                if None.
+        """
         require_shape("offset_world", offset_world, (3,))
+        rotation_cam = np.zeros(3) if rotation_cam is None else rotation_cam
+        require_shape("rotation_cam", rotation_cam, (3,))
         self.offset_world = np.array(offset_world, np.float64)
+        self.rotation_cam = np.array(rotation_cam, np.float64)
+
+    def reported_pose(self) -> Floats:
+        """Return the (4, 4) pose that frames state."""
+        reported: Floats = make_transform(translation=self.offset_world) @ self.T_world_cam
+        angle = float(np.linalg.norm(self.rotation_cam))
+        if angle > 0:
+            reported = reported @ make_transform(rotation_about(self.rotation_cam, angle))
+        return reported
 
     def capture(
         self,
@@ -142,8 +159,7 @@ class DepthCamera:
             grey = self._photograph(hits, view, (appearance, light or Light()), rng)
         seen = TrueView(depth=depth_true, normals=hits.normals, grey=grey, K=self.K)
         depth = measures.measure(seen, rng)
-        reported = make_transform(translation=self.offset_world) @ self.T_world_cam
-        frame = Frame(grey=grey, depth=depth, K=self.K.copy(), T_world_cam=reported)
+        frame = Frame(grey=grey, depth=depth, K=self.K.copy(), T_world_cam=self.reported_pose())
         u0, v0, u1, v1 = (int(x) for x in view.region)
         return Capture(
             frame=frame,

@@ -21,7 +21,7 @@ LOW_AP = 0.8  # AP under which training pays: networks that were trained on a pa
 LOSS = 0.1  # share of the parts that a stage may lose without advice
 LEAST_GRASPABLE = 0.5  # share of drops that must end in a pose that the jaw picks the part from
 _OF_TRAINING = ("part", "unit")  # options that a training knows
-_NOT_SCENES = ("jaw", "hand_eye_mm")  # options that do not change a scene
+_NOT_SCENES = ("jaw", "hand_eye_mm", "hand_eye_deg", "trust")  # options that do not change a scene
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields
 from typing import Literal
 
-from binpick_env.config import Backend, SensorPreset
+from binpick_env.config import Backend, SensorPreset, Trust
 from binpick_env.options import CellOptions
 from binpick_env.options import evaluated as evaluated
 from binpick_env.options import scenes_of as scenes_of
@@ -57,6 +57,10 @@ class CellArguments(SceneArguments):
     jaw: float | None = None  # largest opening of the jaw [m]; the gripper's own 0.085 unless given
     sensor: SensorPreset = "good"  # noise of the depth camera
     hand_eye_mm: float = 0.0  # error of the camera's reported position, standard deviation per axis [mm]
+    hand_eye_deg: float = 0.0  # error of the camera's reported orientation, standard deviation per axis [deg]
+    # bin: the bin stands where it is said to be, is measured in each frame, and corrects the camera's reported pose;
+    # camera: the reported pose is taken as it is
+    trust: Trust = "camera"
 
     def options(self) -> CellOptions:
         """Return the options of the cell; see `PartArguments.options`."""

@@ -26,6 +26,10 @@ def conditions(config: Mapping[str, Any], weights: Mapping[str, Any] | None = No
     facts = [f"{config['perception']}{network}", f"sensor {config['sensor']}"]
     if hand_eye := config["camera"]["hand_eye"]:
         facts.append(f"hand-eye {1000 * hand_eye:g} mm")
+    if turn := config.get("hand_eye_deg"):
+        facts.append(f"hand-eye {turn:g} degrees")
+    if config.get("trust") == "bin":
+        facts.append("camera's pose corrected by the bin")
     if size := config["bin"]:
         facts.append("bin " + " x ".join(f"{1000 * edge:g}" for edge in size) + " mm")
     if jaw := config.get("jaw"):

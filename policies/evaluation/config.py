@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from binpick_env.config import CameraConfig, CellConfig, Perception, SensorPreset
+from binpick_env.config import CameraConfig, CellConfig, Perception, SensorPreset, Trust
 from binpick_env.observation.factory import make_perceiver
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.options import CellOptions
@@ -19,7 +19,7 @@ from policies.picking.settings import PickerSettings
 
 _log = logging.getLogger(__name__)
 # Fields that the digest leaves out where they are None, so that folders of older runs keep their digest.
-_NEWER_FIELDS = ("jaw", "friction", "symmetry_tolerance")
+_NEWER_FIELDS = ("jaw", "friction", "symmetry_tolerance", "hand_eye_deg", "trust")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +42,9 @@ class EvaluationConfig:
     friction: float | None = None  # sliding friction coefficient of parts, bin and tray; None is the cell's own
     # largest deviation of a part file's surface from itself under a symmetry [m]; None is 0.5 % of its diameter
     symmetry_tolerance: float | None = None
+    # error of the camera's reported orientation, standard deviation per axis [deg]; None is none
+    hand_eye_deg: float | None = None
+    trust: Trust | None = None  # "bin" corrects the camera's reported pose by the bin in its frames; None does not
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -75,6 +78,8 @@ class EvaluationConfig:
             camera_distance=self.camera.distance,
             sensor=self.sensor,
             friction=self.friction,
+            hand_eye_deg=self.hand_eye_deg or 0.0,
+            trust=self.trust or "camera",
         )
 
     def weights(self) -> dict[str, str] | None:

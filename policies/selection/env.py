@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from binpick_env.config import CameraConfig, CellConfig, SensorPreset
+from binpick_env.config import CameraConfig, CellConfig, SensorPreset, Trust
 from binpick_env.env import BinPickEnv
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
@@ -107,7 +107,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
     | name | default | meaning |
     | --- | --- | --- |
     | `part`, `unit`, `symmetry`, `symmetry_tolerance`, `density`, `num_parts`, `perception`, `sensor`, `pose_noise`, `threads`, `render_mode` | | as `BinPick-v0`'s |
-    | `bin`, `jaw`, `friction`, `camera_distance`, `width`, `height`, `hand_eye_mm`, `camera`, `config` | `None` | as `BinPick-v0`'s: options of the cell one by one, its camera, or the whole cell |
+    | `bin`, `jaw`, `friction`, `camera_distance`, `width`, `height`, `hand_eye_mm`, `hand_eye_deg`, `trust`, `camera`, `config` | `None` | as `BinPick-v0`'s: options of the cell one by one, its camera, or the whole cell |
     | `max_failures` | `2` | consecutive failures that end the bin; `None` for no limit |
     | `per_part` | `3` | largest number of candidates on one part |
     | `picker` | `None` | a `PickerSettings`: settings of ranking and execution |
@@ -146,6 +146,8 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
         height: int | None = None,
         hand_eye_mm: float | None = None,
         friction: float | None = None,
+        hand_eye_deg: float | None = None,
+        trust: Trust | None = None,
     ) -> None:
         cell: dict[str, Any] = {
             "part": part,
@@ -168,6 +170,8 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
             "height": height,
             "hand_eye_mm": hand_eye_mm,
             "friction": friction,
+            "hand_eye_deg": hand_eye_deg,
+            "trust": trust,
         }
         # A pickled copy is made anew from these; it is the same environment from its first reset(seed) on.
         EzPickle.__init__(self, **cell, max_failures=max_failures, per_part=per_part, picker=picker, fast=fast)

@@ -15,7 +15,15 @@ import binpick_env  # noqa: F401  registers the id
 from binpick_env.cell.delivery import Delivery, DeliveryJudge
 from binpick_env.cell.kinematic_motion import KinematicMotion
 from binpick_env.cell.robot import HOME
-from binpick_env.config import CONTROL_PERIOD, BinConfig, CameraConfig, CellConfig, ContactConfig, RobotConfig
+from binpick_env.config import (
+    CONTROL_PERIOD,
+    BinConfig,
+    CalibrationConfig,
+    CameraConfig,
+    CellConfig,
+    ContactConfig,
+    RobotConfig,
+)
 from binpick_env.env import BinPickEnv
 from binpick_env.options import CellOptions, resolve_cell
 from binpick_env.parts import load_part
@@ -62,6 +70,8 @@ OPTIONS: dict[str, tuple[Any, Callable[[BinPickEnv], object], object]] = {
     "sensor": ("none", lambda env: bool(np.array_equal(env.frame.depth, env.capture.depth_true)), True),
     "hand_eye_mm": (5.0, lambda env: 2.0 < spread_of_the_camera(env) < 25.0, True),
     "friction": (0.2, friction_of_the_bin, pytest.approx(0.2)),
+    "hand_eye_deg": (1.0, lambda env: 0.1 < np.degrees(np.linalg.norm(env.camera.rotation_cam)) < 6.0, True),
+    "trust": ("bin", lambda env: env.config.calibration.trust, "bin"),
 }
 ELSEWHERE = {"unit", "symmetry_tolerance", "backend"}  # in tests of their own: two need a file, one is the camera's
 
@@ -94,6 +104,8 @@ CELLS = {
     "height": replace(STANDARD, camera=CameraConfig(height=60)),
     "hand_eye_mm": replace(STANDARD, camera=CameraConfig(hand_eye=0.005)),
     "backend": replace(STANDARD, camera=CameraConfig(backend="rays")),
+    "hand_eye_deg": replace(STANDARD, calibration=CalibrationConfig(rotation=float(np.deg2rad(1.0)))),
+    "trust": replace(STANDARD, calibration=CalibrationConfig(trust="bin")),
 }
 
 
@@ -166,6 +178,8 @@ def test_the_symmetry_tolerance_of_a_file_arrives(tmp_path: Path, cache: Path) -
         ({"sensor": "fine"}, "sensor must be one of none, good, harsh, stereo, tof, got 'fine'"),
         ({"hand_eye_mm": 16.0}, r"hand_eye_mm must be from 0 to 15 mm, got 16\.0"),
         ({"hand_eye_mm": -1.0}, r"hand_eye_mm must be from 0 to 15 mm, got -1\.0"),
+        ({"hand_eye_deg": 4.0}, r"hand_eye_deg must be from 0 to 3 degrees, got 4\.0"),
+        ({"trust": "floor"}, "trust must be one of camera, bin, got 'floor'"),
         ({"friction": -0.1}, r"friction must be from 0 to 2, got -0\.1"),
         ({"friction": 50.0}, r"friction must be from 0 to 2, got 50\.0"),
     ],
@@ -180,6 +194,7 @@ def test_nonsense_is_refused(options: dict[str, Any], message: str) -> None:
     [
         ({"config": CellConfig(), "jaw": 0.05}, "jaw cannot be given beside config, which contains it: set it in"),
         ({"config": CellConfig(), "bin": (0.3, 0.2, 0.1), "friction": 0.3}, "bin, friction cannot be given beside"),
+        ({"config": CellConfig(), "trust": "bin"}, "trust cannot be given beside config"),
         ({"config": CellConfig(), "width": 640}, "width cannot be given beside config"),
         ({"camera": CameraConfig(), "camera_distance": 1.0}, "camera_distance cannot be given beside camera, which"),
         ({"camera": CameraConfig(), "height": 480}, "height cannot be given beside camera"),

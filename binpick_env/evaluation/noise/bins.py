@@ -29,6 +29,7 @@ from perception.segmentation.weights import find_weights
 from perception.shape import Signature, shape_signature
 
 _log = logging.getLogger(__name__)
+_NEWER_OPTIONS = {"hand_eye_deg": 0.0, "trust": "camera"}  # and their defaults
 BINS_PER_PART = 3  # number of successive bins of one of many parts
 FIRST_INDEX = 1000  # index within its family of the first generated part; trainings take their parts from 0 on
 
@@ -71,7 +72,11 @@ class NoiseBins:
         """Return everything that the observations depend on, as JSON types."""
         # The label differs between files of different content, the version between generated parts of the same name.
         identity = {"generator": GENERATOR_VERSION} if self.many else {"label": part_label(self.options.part)}
-        return {**asdict(self), **identity, "weights": self.weights()["sha256"]}
+        values = asdict(self)
+        for name, default in _NEWER_OPTIONS.items():  # left out, so that folders of older versions can be resumed
+            if values["options"][name] == default:
+                del values["options"][name]
+        return {**values, **identity, "weights": self.weights()["sha256"]}
 
 
 @dataclass(frozen=True, kw_only=True)

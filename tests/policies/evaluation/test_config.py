@@ -35,6 +35,8 @@ def test_the_digest_sees_every_setting() -> None:
         "jaw": 0.06,
         "friction": 0.3,
         "symmetry_tolerance": 0.001,
+        "hand_eye_deg": 1.0,
+        "trust": "bin",
     }
     digests = {dataclasses.replace(CONFIG, **{name: value}).digest() for name, value in changes.items()}
     assert len({*digests, CONFIG.digest()}) == len(changes) + 1
