@@ -10,7 +10,8 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from binpick_env.camera.depth_camera import Capture, DepthCamera
+from binpick_env.camera.correction import correct_by_bin
+from binpick_env.camera.depth_camera import DepthCamera
 from binpick_env.camera.sensor import sensor_model
 from binpick_env.camera.shading import Light
 from binpick_env.candidates import MAX_CANDIDATES, pad_candidates
@@ -22,16 +23,15 @@ from binpick_env.cell.simulation import Simulation
 from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorPreset, Trust
 from binpick_env.env_spaces import Observation, ObsMode, action_limits, observation_boxes, observe
 from binpick_env.episode import EpisodeProperties, EpisodeState, FrameState, Snapshot
-from binpick_env.observation.factory import make_perceiver
+from binpick_env.observation.factory import make_perceiver, resolve_noise
 from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
-from binpick_env.options import resolve_cell
+from binpick_env.options import checked_range, resolve_cell
 from binpick_env.part_limits import check_part
 from binpick_env.parts.part import Part, resolve_part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
-from perception.bin import find_bin, reconcile
 from perception.frame import Workspace
 from perception.geometry import Floats
 
@@ -184,14 +184,14 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             raise ValueError(f"obs_mode must be 'state' or 'rgbd', got {obs_mode!r}")
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
-        self._num_parts = _checked_range(num_parts)
+        self._num_parts = checked_range(num_parts)
         self._sensor = sensor_model(sensor)
         # The cell, what perceives it, and what shows it.
         self.config = resolve_cell(config, camera, **cell)
         self.part = resolve_part(part, unit, symmetry, density, symmetry_tolerance)
         check_part(self.part, self.config)
         self.workspace: Workspace = self.config.bin.workspace()
-        noise = _resolved_noise(pose_noise, self.part, sensor, self.config.camera)
+        noise = resolve_noise(pose_noise, self.part, sensor, self.config.camera)
         self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads)
         self.simulation = Simulation(self.config, self.part, self._num_parts[1])
         geoms = self.simulation.part_of_geom
@@ -297,7 +297,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
                 nothing to do in the last frame.
         """
         episode = self.episode
-        frame = self._take_frame(self._hand_eye(), episode.frame.number + 1, likely=likely)
+        frame = self._take_frame(episode.reported, episode.frame.number + 1, likely=likely)
         self._episode = replace(episode, frame=frame)
         return self._observation()
 
@@ -332,10 +332,6 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
 
     # --- inside ----------------------------------------------------------------------------------------------------
 
-    def _hand_eye(self) -> tuple[Floats, Floats]:
-        """Return the offset [m] and the rotation vector [rad] from the camera's true pose to its reported one."""
-        return self.episode.hand_eye, self.episode.hand_eye_rotation
-
     def _take_frame(self, hand_eye: tuple[Floats, Floats], number: int, *, likely: bool = False) -> FrameState:
         """Take a frame from a camera whose reported pose is off by an offset and a rotation vector, and perceive it."""
         simulation = self.simulation
@@ -346,7 +342,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         captured = time.perf_counter()
         offset = hand_eye[0]
         if self.config.calibration.trust == "bin":
-            capture = self._corrected(capture)
+            capture = correct_by_bin(capture, self.workspace)
             offset = capture.frame.T_world_cam[:3, 3] - capture.T_world_cam[:3, 3]
         corrected = time.perf_counter()
         poses = simulation.part_poses()
@@ -375,11 +371,6 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             perception_time=perceived - labelled_at + corrected - captured,
         )
 
-    def _corrected(self, capture: Capture) -> Capture:
-        """Return a capture whose frame states the camera's pose by which it sees the bin where the bin stands."""
-        fit = find_bin(capture.frame, self.workspace.inner_size, self.workspace)
-        return replace(capture, frame=reconcile(capture.frame, self.workspace, fit, "bin")[0])
-
     def _watch_home(self) -> None:
         """Take a frame when the arm is back home after having left."""
         episode = self.episode
@@ -387,7 +378,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         if distance > AWAY:
             self._episode = replace(episode, away=True)
         elif distance < HOME_ZONE and episode.away:
-            frame = self._take_frame(self._hand_eye(), episode.frame.number + 1)
+            frame = self._take_frame(episode.reported, episode.frame.number + 1)
             self._episode = replace(episode, away=False, frame=frame)
 
     def _observation(self) -> Observation:
@@ -405,22 +396,3 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             "success": success,
             "is_success": success,
         }
-
-
-def _checked_range(num_parts: int | tuple[int, int]) -> tuple[int, int]:
-    """Return the smallest and the largest number of parts."""
-    low, high = num_parts if isinstance(num_parts, tuple | list) else (int(num_parts), int(num_parts))
-    if not 1 <= low <= high:
-        raise ValueError(f"num_parts must be a positive number or a rising pair, got {num_parts}")
-    return low, high
-
-
-def _resolved_noise(
-    noise: PoseNoise | PerceptionNoise | str | None, part: Part, sensor: str, camera: CameraConfig
-) -> PoseNoise | PerceptionNoise | None:
-    """Return the oracle's errors; ``"learned"`` stands for those of the learned perceiver on this part and sensor."""
-    if not isinstance(noise, str):
-        return noise
-    if noise != "learned":
-        raise ValueError(f"pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got {noise!r}")
-    return PerceptionNoise.for_part(part, sensor, camera)

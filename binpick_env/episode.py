@@ -66,6 +66,11 @@ class EpisodeState:
     hand_eye_rotation: Floats = field(default_factory=lambda: np.zeros(3))
 
     @property
+    def reported(self) -> tuple[Floats, Floats]:
+        """Offset [m] and rotation vector [rad] from the camera's true pose to its reported one."""
+        return self.hand_eye, self.hand_eye_rotation
+
+    @property
     def delivered(self) -> int:
         """Number of parts that were delivered."""
         return sum(event.kind is Delivery.DELIVERED for event in self.events)

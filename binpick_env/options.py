@@ -167,6 +167,18 @@ def resolve_cell(config: CellConfig | None, camera: CameraConfig | None, **optio
     return cell if camera is None else replace(cell, camera=camera)
 
 
+def checked_range(num_parts: int | tuple[int, int]) -> tuple[int, int]:
+    """Return the smallest and the largest number of parts of a number or a pair.
+
+    Raises:
+        ValueError: It is not positive, or the pair does not rise.
+    """
+    low, high = num_parts if isinstance(num_parts, tuple | list) else (int(num_parts), int(num_parts))
+    if not 1 <= low <= high:
+        raise ValueError(f"num_parts must be a positive number or a rising pair, got {num_parts}")
+    return low, high
+
+
 def _check_bin(inner_size: tuple[float, float, float]) -> None:
     """Refuse a bin that is none, or that overlaps the robot's pedestal or the tray."""
     if len(inner_size) != 3 or not all(0 < side < np.inf for side in inner_size):

@@ -2,11 +2,12 @@
 
 from typing import get_args
 
-from binpick_env.config import Perception
+from binpick_env.config import CameraConfig, Perception
 from binpick_env.observation.noisy_oracle import NoisyOraclePerceiver
 from binpick_env.observation.oracle import OraclePerceiver, PoseNoise
 from binpick_env.observation.perceiver import Perceiver
 from binpick_env.observation.perception_noise import PerceptionNoise
+from binpick_env.parts.part import Part
 from perception.frame import Workspace
 from perception.part import PartModel
 
@@ -42,3 +43,24 @@ def make_perceiver(
 
     build = learned_perceiver if mode == "learned" else gt_masks_perceiver
     return build(part, workspace, threads)
+
+
+def resolve_noise(
+    noise: PoseNoise | PerceptionNoise | str | None, part: Part, sensor: str, camera: CameraConfig
+) -> PoseNoise | PerceptionNoise | None:
+    """Return the oracle's errors; ``"learned"`` stands for those of the learned perceiver on this part and sensor.
+
+    Args:
+        noise: Errors as an environment is given them.
+        part: Part in the bin.
+        sensor: Preset of the depth sensor's noise.
+        camera: Camera, which determines the size of the part in the image.
+
+    Raises:
+        ValueError: ``noise`` is another word than "learned".
+    """
+    if not isinstance(noise, str):
+        return noise
+    if noise != "learned":
+        raise ValueError(f"pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got {noise!r}")
+    return PerceptionNoise.for_part(part, sensor, camera)

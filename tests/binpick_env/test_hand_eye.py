@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from binpick_env.camera.correction import correct_by_bin
 from binpick_env.camera.depth_camera import default_pose
-from binpick_env.config import CameraConfig
+from binpick_env.config import CalibrationConfig, CameraConfig, CellConfig
 from binpick_env.env import BinPickEnv
+from perception.geometry import invert_transform, rotation_angle
 from tests.binpick_env.small_cell import CAMERA, small_env
 
 
@@ -97,3 +99,55 @@ def test_the_oracle_is_as_far_off() -> None:
         true = env.labelled_capture.T_world_parts[candidate.part]
         np.testing.assert_allclose(candidate.T_world_part[:3, :3], true[:3, :3], atol=1e-12)
         np.testing.assert_allclose(candidate.T_world_part[:3, 3] - true[:3, 3], offset(env), atol=1e-12)
+
+
+def seeing_env(**calibration: object) -> BinPickEnv:
+    """Return a cell whose camera has pixels enough to measure the bin."""
+    camera = CameraConfig(width=480, height=360, hand_eye=0.01)
+    return small_env(config=CellConfig(camera=camera, calibration=CalibrationConfig(**calibration)), camera=None)
+
+
+def test_a_trusted_bin_corrects_the_reported_pose() -> None:
+    env = seeing_env(rotation=np.deg2rad(1.0), trust="bin")
+    env.reset(seed=3)
+    reported, true, corrected = env.camera.reported_pose(), env.capture.T_world_cam, env.frame.T_world_cam
+    assert np.linalg.norm(reported[:3, 3] - true[:3, 3]) > 0.005
+    assert rotation_angle(reported[:3, :3].T @ true[:3, :3]) > np.deg2rad(0.3)
+    assert np.linalg.norm(corrected[:3, 3] - true[:3, 3]) < 0.003
+    assert rotation_angle(corrected[:3, :3].T @ true[:3, :3]) < np.deg2rad(0.2)
+    labelled = env.labelled_capture
+    np.testing.assert_allclose(labelled.T_reported_parts[:, :3, 3], labelled.T_world_parts[:, :3, 3], atol=0.002)
+
+
+def test_a_wrong_orientation_is_that_of_every_frame_of_a_bin() -> None:
+    env = seeing_env(rotation=np.deg2rad(1.0))
+    env.reset(seed=3)
+    first = env.frame.T_world_cam
+    np.testing.assert_array_equal(first, env.camera.reported_pose())
+    env.look()
+    np.testing.assert_array_equal(env.frame.T_world_cam, first)
+    labelled = env.labelled_capture
+    as_seen = first @ invert_transform(env.capture.T_world_cam) @ labelled.T_world_parts
+    np.testing.assert_allclose(labelled.T_reported_parts, as_seen, atol=1e-12)
+    env.reset(seed=4)
+    assert not np.array_equal(env.frame.T_world_cam[:3, :3], first[:3, :3])
+
+
+def test_a_bin_out_of_view_corrects_nothing() -> None:
+    env = wrong_env()  # too few pixels
+    env.reset(seed=3)
+    capture = correct_by_bin(env.capture, env.workspace)
+    np.testing.assert_array_equal(capture.frame.T_world_cam, env.frame.T_world_cam)
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"rotation": -0.1}, r"rotation must be from 0 to 0\.06 rad, got -0\.1"),
+        ({"rotation": 0.1}, r"rotation must be from 0 to 0\.06 rad, got 0\.1"),
+        ({"trust": "floor"}, "trust must be one of camera, bin, got 'floor'"),
+    ],
+)
+def test_a_calibration_without_sense_is_refused(values: dict[str, object], text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        CalibrationConfig(**values)
