@@ -13,14 +13,15 @@ class BinFacts:
     """Facts of the measurement of a bin.
 
     Attributes:
-        measured: Whether the bin was measured; otherwise the given pose was kept.
+        measured: Whether the bin was measured.
         reason: Why it was not; None if it was.
-        distance: Distance of the measured bin from the believed one [m]; None if it was not measured.
-        angle: Angle between the two [rad]; None if it was not measured.
+        distance: Distance of the measured bin from the believed one [m]; None if it was not measured, or without one.
+        angle: Angle between the two [rad]; None likewise.
         translation_std: Standard deviation of the measured position along its least certain axis [m]; None likewise.
         rotation_std: Standard deviation of the measured orientation about its least certain axis [rad]; None likewise.
         seen: Surfaces that were seen.
         residual: Root mean square distance of the supporting points from these surfaces [m]; None likewise.
+        inner_size: Inner length, width and height [m], where nothing was believed; None otherwise, and for a table.
     """
 
     measured: bool
@@ -31,14 +32,15 @@ class BinFacts:
     rotation_std: float | None
     seen: tuple[str, ...]
     residual: float | None
+    inner_size: tuple[float, ...] | None = None
 
     @classmethod
-    def of(cls, fit: BinFit, believed: Workspace) -> "BinFacts":
+    def of(cls, fit: BinFit, believed: Workspace | None) -> "BinFacts":
         """Return the facts of a fit.
 
         Args:
             fit: The bin as the frame shows it.
-            believed: The bin as it was believed to be.
+            believed: The bin as it was believed to be; None if its place was not known.
         """
         if not fit.reliable:
             return cls(
@@ -51,7 +53,8 @@ class BinFacts:
                 seen=(),
                 residual=None,
             )
-        distance, angle = fit.offset_from(believed)
+        distance, angle = (None, None) if believed is None else fit.offset_from(believed)
+        size = fit.inner_size if believed is None else None
         return cls(
             measured=True,
             reason=None,
@@ -61,17 +64,25 @@ class BinFacts:
             rotation_std=fit.rotation_std,
             seen=fit.seen,
             residual=fit.residual,
+            inner_size=None if size is None else tuple(size.tolist()),
         )
 
     def __str__(self) -> str:
-        if self.distance is None or self.angle is None or self.translation_std is None or self.rotation_std is None:
-            return f"the bin was not measured, and the given pose was kept: {self.reason}"
+        if not self.measured or self.translation_std is None or self.rotation_std is None:
+            return f"the bin was not measured: {self.reason}"
         walls = sum(name.startswith("wall") for name in self.seen)
         seen = [name for name in self.seen if not name.startswith("wall")]
         seen += [f"{walls} wall{'' if walls == 1 else 's'}"] if walls else []
+        where = ""
+        if self.distance is not None and self.angle is not None:
+            where = (
+                f": {1000 * self.distance:.1f} mm and {np.degrees(self.angle):.2f} degrees from where it was believed "
+                "to be"
+            )
+        elif self.inner_size is not None:
+            where = f": {' x '.join(f'{1000 * value:.0f}' for value in self.inner_size)} mm inside"
         only = "" if walls else ", height and tilt only"
         return (
-            f"the bin was measured by {', '.join(seen)}: {1000 * self.distance:.1f} mm and "
-            f"{np.degrees(self.angle):.2f} degrees from where it was believed to be (standard deviations "
+            f"the bin was measured by {', '.join(seen)}{where} (standard deviations "
             f"{1000 * self.translation_std:.1f} mm, {np.degrees(self.rotation_std):.2f} degrees{only})"
         )

@@ -15,7 +15,7 @@ from policies.commands.command_line import exit_code, parse
 if TYPE_CHECKING:
     from perception.frame import Workspace
     from perception.part import PartModel
-    from policies.frames import FrameJob, FrameOutcome, FrameRecord, FrameSource, GraspFinder
+    from policies.frames import BinSettings, FrameJob, FrameOutcome, FrameRecord, FrameSource, GraspFinder
 
 UNREAD = 1  # exit code where a frame could not be read
 
@@ -24,7 +24,8 @@ UNREAD = 1  # exit code where a frame could not be read
 class Arguments:
     """Find the poses of a part in frames of your camera, and say why some are lost.
 
-    Name files, or a folder by --frames. State the bin by --bin and --bin-pose, or search everything by --no-bin. Exit
+    Name files, or a folder by --frames. State the bin by --bin and --bin-pose, let it be found by --bin alone or by
+    --find-bin, or search everything by --no-bin. A bin that is stated is measured in each frame all the same. Exit
     codes: 0 if every frame was read, also where no part was found; 1 if one could not be read; 2 for options that have
     no meaning.
     """
@@ -45,6 +46,11 @@ class Arguments:
     # pose of the bin in the world: 16 numbers row by row, or a JSON file of them; its origin is the centre of the inner
     # floor, z up, and the world is the camera's frame (z forward) where no camera pose is known
     bin_pose: tuple[str, ...] | None = None
+    find_bin: tyro.conf.FlagCreatePairsOff[bool] = False  # look for the bin in each frame; its size is measured, too
+    measure_bin: bool = True  # measure the bin in each frame, starting from --bin-pose
+    # what is corrected where a frame shows the bin elsewhere than --bin-pose says: camera: the camera's pose is right,
+    # and the bin may have moved; bin: the bin stands in a fixture, and the camera's pose is corrected
+    trust: Literal["camera", "bin"] = "camera"
     no_bin: tyro.conf.FlagCreatePairsOff[bool] = False  # search everything within the depths of the frame
     # pose of the camera in the world (x right, y down, z forward): 16 numbers row by row, or a JSON file of them; that
     # of the frame's file, or the identity, unless given
@@ -108,22 +114,42 @@ class Arguments:
 
         Raises:
             FileNotFoundError: The file of its pose does not exist.
-            ValueError: Neither a bin nor --no-bin is given, or both, or a value has no meaning.
+            ValueError: Options contradict each other, or a value has no meaning.
         """
         import numpy as np
 
         from perception.frame import Workspace
         from policies.frames import parse_pose
 
-        if self.no_bin:
-            if self.bin is not None or self.bin_pose is not None:
-                raise ValueError("state the bin by --bin and --bin-pose, or none by --no-bin, but not both")
-            return None
-        if self.bin is None or self.bin_pose is None:
+        stated = self.bin is not None or self.bin_pose is not None
+        if self.no_bin and (stated or self.find_bin):
+            raise ValueError("state the bin by --bin and --bin-pose, or none by --no-bin, but not both")
+        if self.find_bin and stated:
             raise ValueError(
-                "the bin must be known: give --bin LENGTHxWIDTHxHEIGHT [mm] and --bin-pose, or --no-bin to search all"
+                "--find-bin measures place and size: leave out --bin and --bin-pose, or state the bin alone"
             )
+        if self.trust == "bin" and (self.bin_pose is None or not self.measure_bin):
+            raise ValueError("--trust bin needs the place of the bin, by --bin and --bin-pose, and measures it")
+        if self.no_bin or self.find_bin:
+            return None
+        if self.bin is None:
+            raise ValueError(
+                "the bin must be known: give --bin LENGTHxWIDTHxHEIGHT [mm] and --bin-pose, --bin or --find-bin to look "
+                "for it, or --no-bin to search all"
+            )
+        if self.bin_pose is None:
+            return None
         return Workspace(T_world_bin=parse_pose(self.bin_pose, "T_world_bin"), inner_size=np.array(self.bin))
+
+    def bin_settings(self) -> "BinSettings":
+        """Return how the bin in the frames is known."""
+        import numpy as np
+
+        from policies.frames import BinSettings
+
+        find = self.bin_pose is None and not self.no_bin
+        size = np.array(self.bin) if find and self.bin is not None else None
+        return BinSettings(measure=self.measure_bin, trust=self.trust, find=find, inner_size=size)
 
     def finder(self, part: "PartModel", workspace: "Workspace | None") -> "GraspFinder | None":
         """Return the search for grasps; None without one.
@@ -222,7 +248,8 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
     if args.bop is not None:
         image_numbers(job.paths, names.scene_id)  # now, rather than when all frames are done
     part = load_part(args.part, unit=args.unit, symmetry=args.symmetry, symmetry_tolerance=args.symmetry_tolerance)
-    perceiver = FramePerceiver(part.model, workspace, origin_in_file=part.file.origin if part.file else (0.0, 0.0, 0.0))
+    origin = part.file.origin if part.file else (0.0, 0.0, 0.0)
+    perceiver = FramePerceiver(part.model, workspace, origin_in_file=origin, bin=args.bin_settings())
     finder = args.finder(part.model, workspace)
     with (
         _recording(args.rerun) as record,

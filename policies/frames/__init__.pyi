@@ -1,3 +1,4 @@
+from .bin_settings import BinSettings as BinSettings
 from .bop import BopNames as BopNames
 from .bop import save_bop_results as save_bop_results
 from .frame_files import frames_in as frames_in

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from perception.bin import BinFit, find_bin
 from perception.boundary import BoundarySettings
-from perception.diagnosis import CauseName
+from perception.diagnosis import BinFacts, CauseName
 from perception.frame import Frame, Workspace
 from perception.geometry import make_transform, rotation_about
 from perception.part import PartModel
@@ -14,6 +15,7 @@ from perception.pipeline import Perception, Pipeline
 from perception.pose.estimator import PoseEstimator
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.weights import find_weights
+from policies.frames.bin_settings import BinSettings, workspace_found
 
 FARTHEST = 20.0  # depth beyond which nothing is searched without a bin; no camera over parts measures it [m]
 NO_DEPTH = (0.5, 1.0)  # range that is searched in a frame without depth, where there is nothing to find [m]
@@ -41,7 +43,8 @@ class FramePerceiver:
 
     Attributes:
         part: Part that is searched for.
-        workspace: The bin; None if no bin limits the poses.
+        workspace: The bin as it is believed to be; None if nothing is known of its place, or no bin limits the poses.
+        bin: How the bin in the frames is known.
         weights: Weights of the segmentation network.
         predictor: Segmentation of boundary points.
         estimator: Pose estimation of segments.
@@ -54,13 +57,15 @@ class FramePerceiver:
         workspace: Workspace | None,
         *,
         origin_in_file: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        bin: BinSettings | None = None,
     ) -> None:
         """Load the network and the models of the part, which take seconds the first time.
 
         Args:
             part: Part to search for.
-            workspace: The bin; None to search all that a frame measures.
+            workspace: The bin as it is believed to be; None to look for it, or to search all that a frame measures.
             origin_in_file: Position of the part frame's origin in the frame of the part's file [m]; records name it.
+            bin: How the bin in the frames is known; the defaults of :class:`BinSettings` if None.
 
         Raises:
             WeightsError: There are neither weights of the part nor for every part.
@@ -74,6 +79,7 @@ class FramePerceiver:
         found = find_weights(part)
         digest = hashlib.sha256(found.path.read_bytes()).hexdigest()
         self.part, self.workspace, self.origin_in_file = part, workspace, origin_in_file
+        self.bin = bin or BinSettings()
         self.weights = UsedWeights(name=found.path.name, sha256=digest, training=found.training)
         self.predictor = SegmentationPredictor.from_file(found.path, part=part)
         self.estimator = PoseEstimator(part, workspace=workspace)
@@ -84,12 +90,29 @@ class FramePerceiver:
         Raises:
             ValueError: No bin was given and the depth is no camera's over parts, or the part is too small in the image.
         """
-        workspace = workspace_of_depth(frame) if self.workspace is None else self.workspace
-        seen = Pipeline(self.predictor, self.estimator, workspace).perceive(frame)
-        if self.workspace is None and seen.report is not None:
+        if self.workspace is not None:
+            pipeline = Pipeline(
+                self.predictor, self.estimator, self.workspace, measure_bin=self.bin.measure, trust=self.bin.trust
+            )
+            return pipeline.perceive(frame)
+        fit = find_bin(frame, self.bin.inner_size) if self.bin.find else None
+        if fit is not None and fit.reliable:
+            return _with_bin(self._perceive(frame, workspace_found(frame, fit)), fit)
+        seen = self._perceive(frame, workspace_of_depth(frame))
+        if seen.report is not None:
             causes = tuple(cause for cause in seen.report.causes if cause.name not in ABOUT_BIN)
-            return replace(seen, report=replace(seen.report, causes=causes))
-        return seen
+            seen = replace(seen, report=replace(seen.report, causes=causes))
+        return seen if fit is None else _with_bin(seen, fit)
+
+    def _perceive(self, frame: Frame, workspace: Workspace) -> Perception:
+        """Return the poses in a frame of a bin that is taken as it is."""
+        return Pipeline(self.predictor, self.estimator, workspace, measure_bin=False).perceive(frame)
+
+
+def _with_bin(seen: Perception, fit: BinFit) -> Perception:
+    """Return what was found with the bin that was looked for."""
+    report = None if seen.report is None else replace(seen.report, bin=BinFacts.of(fit, None))
+    return replace(seen, bin=fit, report=report)
 
 
 def workspace_of_depth(frame: Frame) -> Workspace:

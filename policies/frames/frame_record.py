@@ -10,8 +10,8 @@ import numpy as np
 from binpick_env.jobs.text_tables import columns, number, percent
 from perception.capture import ReadReport
 from perception.diagnosis import FrameReport
-from perception.frame import Frame
-from perception.geometry import invert_transform
+from perception.frame import Frame, Workspace
+from perception.geometry import Floats, invert_transform
 from perception.pipeline import Perception
 from perception.pose.pose_estimate import PoseEstimate
 from policies.frames.frame_perceiver import FramePerceiver
@@ -51,10 +51,21 @@ class FrameRecord:
         others.sort(key=lambda pose: -pose.score)
         return [*((pose, True) for pose in self.seen.poses), *((pose, False) for pose in others)]
 
+    @property
+    def workspace(self) -> Workspace | None:
+        """The bin that limited the poses: as it was measured, else as it was believed to be; None if none did."""
+        found = self.seen.bin is not None and self.seen.bin.reliable
+        return self.seen.workspace if found or self.perceiver.workspace is not None else None
+
+    @property
+    def T_world_cam(self) -> Floats:
+        """(4, 4) pose of the camera: that of the frame, or the one that the bin corrected."""
+        return self.frame.T_world_cam if self.seen.T_world_cam is None else self.seen.T_world_cam
+
     def values(self) -> Values:
         """Return the record as JSON values."""
         height, width = self.frame.depth.shape
-        part, workspace = self.perceiver.part, self.perceiver.workspace
+        part, workspace = self.perceiver.part, self.workspace
         return {
             "frame": str(self.path),
             "width": width,
@@ -68,7 +79,7 @@ class FrameRecord:
             "bin": None
             if workspace is None
             else {"T_world_bin": workspace.T_world_bin.tolist(), "inner_size": workspace.inner_size.tolist()},
-            "T_world_cam": self.frame.T_world_cam.tolist(),
+            "T_world_cam": self.T_world_cam.tolist(),
             "K": self.frame.K.tolist(),
             "reading": asdict(self.reading),
             "poses": [self._pose(pose, verified) for pose, verified in self.poses],
@@ -78,7 +89,7 @@ class FrameRecord:
         }
 
     def _pose(self, pose: PoseEstimate, verified: bool) -> Values:
-        T_world_part = self.frame.T_world_cam @ pose.T_cam_part
+        T_world_part = self.T_world_cam @ pose.T_cam_part
         return {
             "T_cam_part": np.asarray(pose.T_cam_part).tolist(),
             "T_world_part": T_world_part.tolist(),
@@ -110,7 +121,7 @@ def frame_lines(record: FrameRecord) -> list[str]:
         f"{record.path}: {reading.source}, {width} x {height} px, {percent(reading.measured_fraction)} with depth, "
         f"grey from {reading.grey}"
     ]
-    if record.perceiver.workspace is None:
+    if record.workspace is None:
         lines.append("no bin limits the poses: the box of all measured depths stands in for it")
     if record.seen.report is not None:
         lines += str(record.seen.report).splitlines()

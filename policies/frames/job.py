@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -145,7 +145,7 @@ def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver, finder: Gra
     try:
         frame, reading = job.source.read(path)
         seen = perceiver.perceive(frame)
-        grasps = None if finder is None else _grasps(frame, seen, perceiver, finder)
+        grasps = None if finder is None else _grasps(frame, seen, finder)
     except (ValueError, OSError) as error:
         return FrameOutcome(path=path, values=None, lines=(str(error),))
     record = FrameRecord(path=path, frame=frame, reading=reading, seen=seen, perceiver=perceiver, grasps=grasps)
@@ -161,9 +161,10 @@ def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver, finder: Gra
     return outcome
 
 
-def _grasps(frame: Frame, seen: Perception, perceiver: FramePerceiver, finder: GraspFinder) -> list[FrameGrasp]:
-    workspace = workspace_of_depth(frame) if perceiver.workspace is None else perceiver.workspace
-    return finder.find(frame, workspace, seen.poses)
+def _grasps(frame: Frame, seen: Perception, finder: GraspFinder) -> list[FrameGrasp]:
+    workspace = workspace_of_depth(frame) if seen.workspace is None else seen.workspace
+    corrected = frame if seen.T_world_cam is None else replace(frame, T_world_cam=seen.T_world_cam)
+    return finder.find(corrected, workspace, seen.poses)
 
 
 def _stored(job: FrameJob, path: Path) -> FrameOutcome | None:
@@ -199,6 +200,10 @@ def _configuration(job: FrameJob, perceiver: FramePerceiver, finder: GraspFinder
         "weights": perceiver.weights.sha256,
         "T_world_bin": None if workspace is None else workspace.T_world_bin.tolist(),
         "inner_size": None if workspace is None else workspace.inner_size.tolist(),
+        "measure_bin": perceiver.bin.measure,
+        "trust": perceiver.bin.trust,
+        "find_bin": perceiver.bin.find,
+        "size_to_find": None if perceiver.bin.inner_size is None else perceiver.bin.inner_size.tolist(),
         **job.source.values(),
         **asked,
     }

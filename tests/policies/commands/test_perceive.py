@@ -12,11 +12,13 @@ import pytest
 
 import binpick_env.parts
 from perception.capture import write_frame
+from perception.geometry import make_transform
 from perception.metrics.pose_errors import pose_error
 from perception.segmentation.predictor import SegmentationPredictor
 from policies.frames import frame_perceiver, grasp_finder
 from policies.report import frame_recording
 from tests.perception.block_scene import BIN, ELL, POSES, KnowingPredictor, photographed, true_groups
+from tests.perception.diagnosis import bin_scene
 from tests.perception.pose.estimator_scene import quick_estimator
 from tests.policies.commands.command_calls import run
 from tests.policies.frames.test_grasp_finder import few_grasps
@@ -67,7 +69,7 @@ def test_poses_are_printed_and_written(folder: Path) -> None:
         assert pose["T_world_part"] == pose["T_cam_part"]  # the camera's frame is the world
     assert (frame["frame"], frame["part"]["name"], frame["weights"]["training"]) == ("full.npz", "ell", "zero-shot")
     assert frame["K"] == FRAME.K.tolist()
-    np.testing.assert_allclose(frame["bin"]["T_world_bin"], BIN.T_world_bin, atol=1e-9)
+    np.testing.assert_allclose(frame["bin"]["T_world_bin"], BIN.T_world_bin, atol=1e-3)  # it is measured
     assert frame["bin"]["inner_size"] == pytest.approx(BIN.inner_size)
     assert frame["report"]["poses"]["found"] == 2
     lines = done.stdout.splitlines()
@@ -179,7 +181,9 @@ def test_a_folder_of_results_is_resumed_but_not_mixed(folder: Path) -> None:
     ("options", "error"),
     [
         ([], "the bin must be known: give --bin"),
-        (["--bin", "400x300x100"], "the bin must be known: give --bin"),
+        (["--bin-pose", *POSE], "the bin must be known: give --bin"),
+        (["--find-bin", "--bin", "400x300x100"], "--find-bin measures place and size: leave out --bin and --bin-pose"),
+        (["--trust", "bin", "--bin", "400x300x100"], "--trust bin needs the place of the bin"),
         (["--no-bin", "--bin", "400x300x100"], "or none by --no-bin, but not both"),
         (["--bin", "40x30x10", "--bin-pose", *POSE], "the part must fit into the bin, got a part of"),
         (["--bin", "400x300x100", "--bin-pose", *POSE[:15]], "T_world_bin must be 16 numbers row by row, or one JSON"),
@@ -320,3 +324,66 @@ def test_a_recordings_name_is_checked_before_anything_is_perceived(folder: Path)
     done = run("perceive", "full.npz", *IN_BIN, "--rerun", "seen.mp4", cwd=folder)
     assert done.returncode == 2
     assert "a recording's name must end in .rrd, got 'seen.mp4'" in done.stderr
+
+
+IN_WALLS = bin_scene.good()[0]
+WALLED = [f"{value:.12g}" for value in bin_scene.BIN.T_world_bin.ravel()]
+NEAR = [
+    f"{value:.12g}" for value in (make_transform(translation=(0.01, 0.0, 0.01)) @ bin_scene.BIN.T_world_bin).ravel()
+]
+SIZE = "240x180x80"
+
+
+@pytest.mark.parametrize(
+    "options", [["--find-bin"], ["--bin", SIZE], ["--bin", SIZE, "--bin-pose", *NEAR]], ids=["all", "place", "pose"]
+)
+def test_the_bin_is_measured_in_the_frame(folder: Path, options: list[str]) -> None:
+    write_frame(IN_WALLS, folder / "walls.npz")
+    done = run("perceive", "walls.npz", "--part", "ell.stl", *options, "--json", "walls.json", cwd=folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    (frame,) = frames_in(folder / "walls.json")
+    facts = frame["report"]["bin"]
+    assert facts["measured"]
+    np.testing.assert_allclose(frame["bin"]["inner_size"], bin_scene.BIN.inner_size, atol=0.0015)
+    T = np.array(frame["bin"]["T_world_bin"])
+    np.testing.assert_allclose(T[:3, 3], bin_scene.BIN.T_world_bin[:3, 3], atol=0.0015)
+    assert "the bin was measured by floor, rim, 4 walls: " in done.stdout
+    assert (facts["distance"] is None) == ("--bin-pose" not in options)
+
+
+def test_a_trusted_bin_corrects_the_camera(folder: Path) -> None:
+    wrong = IN_WALLS.T_world_cam @ make_transform(translation=(0.01, 0.0, 0.01))
+    write_frame(replace(IN_WALLS, T_world_cam=wrong), folder / "walls.npz")
+    options = ["--part", "ell.stl", "--bin", SIZE, "--bin-pose", *WALLED, "--trust", "bin", "--json", "walls.json"]
+    assert run("perceive", "walls.npz", *options, cwd=folder).returncode == 0
+    (frame,) = frames_in(folder / "walls.json")
+    np.testing.assert_allclose(frame["bin"]["T_world_bin"], bin_scene.BIN.T_world_bin, atol=1e-9)
+    np.testing.assert_allclose(np.array(frame["T_world_cam"])[:3, 3], IN_WALLS.T_world_cam[:3, 3], atol=0.003)
+
+
+def test_a_stated_bin_is_taken_as_it_is_on_request(folder: Path) -> None:
+    write_frame(IN_WALLS, folder / "walls.npz")
+    options = ["--part", "ell.stl", "--bin", SIZE, "--bin-pose", *NEAR, "--no-measure-bin", "--json", "walls.json"]
+    assert run("perceive", "walls.npz", *options, cwd=folder).returncode == 0
+    (frame,) = frames_in(folder / "walls.json")
+    assert frame["report"]["bin"] is None
+    assert frame["bin"]["T_world_bin"][2][3] == pytest.approx(bin_scene.BIN.T_world_bin[2, 3] + 0.01)
+
+
+def test_everything_is_searched_where_no_bin_is_found(folder: Path) -> None:
+    options = ["--part", "ell.stl", "--bin", SIZE, "--json", "full.json"]
+    done = run("perceive", "full.npz", *options, cwd=folder)
+    assert done.returncode == 0
+    (frame,) = frames_in(folder / "full.json")
+    assert frame["bin"] is None
+    assert not frame["report"]["bin"]["measured"]
+    assert "the bin was not measured: its rim was not found" in done.stdout
+    assert "no bin limits the poses" in done.stdout
+
+
+def test_parts_on_a_table_are_found_without_a_bin(folder: Path) -> None:
+    done = run("perceive", "full.npz", "--part", "ell.stl", "--find-bin", "--json", "full.json", cwd=folder)
+    assert done.returncode == 0
+    (frame,) = frames_in(folder / "full.json")
+    assert frame["report"]["bin"]["seen"] == ["floor"]
+    assert [pose["verified"] for pose in frame["poses"]] == [True, True]
