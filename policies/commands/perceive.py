@@ -134,8 +134,8 @@ class Arguments:
             return None
         if self.bin is None:
             raise ValueError(
-                "the bin must be known: give --bin LENGTHxWIDTHxHEIGHT [mm] and --bin-pose, --bin or --find-bin to look "
-                "for it, or --no-bin to search all"
+                "the bin must be known: give --bin LENGTHxWIDTHxHEIGHT [mm] and --bin-pose, --bin or --find-bin to "
+                "look for it, or --no-bin to search all"
             )
         if self.bin_pose is None:
             return None
