@@ -33,6 +33,7 @@ COMMANDS = (
     _command("train-segmentation", _SEE, "train a segmentation network on labelled scenes"),
     _command("evaluate-segmentation", _SEE, "measure the segmentation's average precision on fresh scenes"),
     _command("evaluate-pose", _SEE, "measure recognition, recall and precision of poses on fresh scenes"),
+    _command("evaluate-bin", _SEE, "measure how well a bin is found in frames of a camera whose pose is wrong"),
     _command("calibrate-poses", _SEE, "fit a pose's score to its chance of being right"),
     _command("train-selector", _SELECT, "train a grasp selector, by MaskablePPO or on logged attempts"),
     _command("evaluate-selector", _SELECT, "compare grasp selectors on the same bins"),

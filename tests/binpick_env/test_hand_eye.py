@@ -134,9 +134,10 @@ def test_a_wrong_orientation_is_that_of_every_frame_of_a_bin() -> None:
 
 
 def test_a_bin_out_of_view_corrects_nothing() -> None:
-    env = wrong_env()  # too few pixels
+    env = wrong_env()
     env.reset(seed=3)
-    capture = correct_by_bin(env.capture, env.workspace)
+    dark = replace(env.frame, depth=np.zeros_like(env.frame.depth))
+    capture = correct_by_bin(replace(env.capture, frame=dark), env.workspace)
     np.testing.assert_array_equal(capture.frame.T_world_cam, env.frame.T_world_cam)
 
 
