@@ -78,7 +78,7 @@ def bodies_of(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     surfaces = _surfaces(mesh)
     volumes = [signed_volume(surface) for surface in surfaces]
     outer = [k for k, volume in enumerate(volumes) if volume > 0]
-    if len(outer) == 1:
+    if len(outer) <= 1:
         return [mesh]
     members = {k: [surfaces[k]] for k in outer}
     for k, volume in enumerate(volumes):

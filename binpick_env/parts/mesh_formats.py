@@ -95,12 +95,17 @@ def _parsed(path: Path, suffix: str, data: bytes) -> tuple[list[trimesh.Trimesh]
         return [trimesh.load_mesh(io.BytesIO(content), file_type=kind)], None
     if suffix == ".obj":
         return [trimesh.load_mesh(io.BytesIO(_as_utf8(data)), file_type="obj")], None
+    if suffix == ".ply":
+        return [trimesh.load_mesh(io.BytesIO(_without_comments(data)), file_type="ply")], None
     return [trimesh.load_mesh(path)], None
 
 
 def _stl(data: bytes) -> tuple[bytes, str]:
     """Return the content of an STL without what follows its triangles, and trimesh's name of its kind."""
     if data[:512].lstrip().startswith(b"solid") and b"facet" in data[:4096]:
+        begun, ended = (data.lower().count(word) for word in (b"facet normal", b"endfacet"))
+        if begun > ended:
+            raise ValueError(f"it is truncated: {begun} facets begin and {ended} end; export or copy it again")
         return _as_utf8(data), "stl_ascii"
     if len(data) < _STL_HEADER:
         raise ValueError(f"it has {len(data)} bytes, fewer than the header of a binary STL")
@@ -121,6 +126,13 @@ def _as_utf8(data: bytes) -> bytes:
     except UnicodeDecodeError:
         return data.decode("latin-1").encode("utf-8")
     return data
+
+
+def _without_comments(data: bytes) -> bytes:
+    """Return the content of a PLY without its header's comments, which may be in Latin-1 and in any place."""
+    header, end, body = data.partition(b"end_header")
+    lines = [line for line in header.splitlines(keepends=True) if not line.startswith((b"comment", b"obj_info"))]
+    return b"".join(lines) + end + body
 
 
 def _step(data: bytes) -> list[trimesh.Trimesh]:

@@ -20,6 +20,7 @@ log = logging.getLogger(__name__)
 _MERGING = (1e-7, 1e-6, 1e-5, 1e-4)  # distances within which vertices are merged, one after the other [extent]
 _FLAT = 0.005  # share of the extent; a hole whose border deviates less from a plane is closed, however wide it is
 _SMALL = 0.1  # share of the extent; a hole that is narrower is closed, whatever its border
+_SHEET = 1e-6  # share of area times extent; a surface that encloses less has no volume
 
 
 def closed(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
@@ -51,12 +52,12 @@ def closed(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
     for tolerance in (0.0, *_MERGING):
         merged, moved = _merged(original, tolerance * extent) if tolerance else (original, 0.0)
         merged, widest, count = _filled(_single_faced(merged), extent)
-        if merged.is_watertight:
+        if merged.is_watertight and not _has_sheet(merged, extent):
             log.warning(
-                "%s was not watertight; %d holes up to %.3g wide were closed, and vertices moved by up to %.3g",
+                "%s was not watertight; holes up to %.3g wide were closed (%d), and vertices moved by up to %.3g",
                 path,
-                count,
                 widest,
+                count,
                 moved,
             )
             return merged
@@ -150,6 +151,17 @@ def _filled(mesh: trimesh.Trimesh, extent: float) -> tuple[trimesh.Trimesh, floa
         widest, count = max(widest, width), count + 1
     filled = trimesh.Trimesh(np.vstack([vertices, *added]), np.concatenate(faces), process=False)
     return filled, widest, count
+
+
+def _has_sheet(mesh: trimesh.Trimesh, extent: float) -> bool:
+    """Return whether a surface of a closed mesh encloses no volume, as a triangle does that was closed by itself."""
+    shell = np.empty(len(mesh.faces), np.int64)
+    for k, faces in enumerate(shells_of(mesh)):
+        shell[faces] = k
+    a, b, c = np.moveaxis(np.asarray(mesh.triangles, np.float64) - mesh.bounds.mean(axis=0), 1, 0)
+    volumes = np.bincount(shell, np.einsum("ti,ti->t", a, np.cross(b, c)) / 6)
+    areas = np.bincount(shell, np.asarray(mesh.area_faces))
+    return bool(np.any(np.abs(volumes) <= _SHEET * extent * areas))
 
 
 def _flat_faces(loop: NDArray[np.int64], outline: Floats) -> NDArray[np.int64]:

@@ -75,7 +75,8 @@ def load_part(
             its ``d_max``.
 
     Returns:
-        The part. Catalogue parts and the last 32 generated ones are built once per process.
+        The part. Catalogue parts, the last 32 generated ones and the last 8 files are built once per process; a file
+        that has changed is read again.
 
     Raises:
         ValueError: The name is unknown, the file is no watertight mesh of a part's size, or an argument is invalid.
@@ -112,7 +113,9 @@ def load_part(
             f"part must be one of {', '.join(CATALOGUE)}, generated:FAMILY:INDEX, or a path to a file "
             f"({', '.join(SUFFIXES)}), got {name!r}"
         )
-    return _file_part(path, unit, settings if symmetry == "detect" else _group(symmetry), density or FILE_DENSITY)
+    group = settings if symmetry == "detect" else _group(symmetry)
+    version = str(path.resolve()), path.read_bytes() if path.is_file() else b""
+    return _file_part(path, unit, group, density or FILE_DENSITY, hash(version))
 
 
 def generate_part(family: str, index: int, d_max_range: tuple[float, float] = D_MAX) -> Part:
@@ -166,7 +169,14 @@ def _generated_part(name: GeneratedName, symmetry: SymmetryChoice, density: floa
     return _assemble(replace(drawn, symmetry=group, density=density or drawn.density), source=str(name))
 
 
-def _file_part(path: Path, unit: Unit | None, symmetry: Symmetry | SymmetrySettings, density: float) -> Part:
+@lru_cache(maxsize=8)
+def _file_part(
+    path: Path,
+    unit: Unit | None,
+    symmetry: Symmetry | SymmetrySettings,
+    density: float,
+    version: int,  # noqa: ARG001 - a hash of the file's place and content: a changed file is another part
+) -> Part:
     mesh = read_mesh(path, unit)
     facts: FileFacts = mesh.metadata["facts"]
     x, y, z = (float(value) for value in mesh.center_mass)

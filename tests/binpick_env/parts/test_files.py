@@ -109,6 +109,17 @@ def test_a_small_hole_is_closed_with_a_warning(save: Callable[..., Path], caplog
     assert "was not watertight" in caplog.text
 
 
+def test_a_file_is_read_once_until_it_changes(save: Callable[..., Path], caplog: pytest.LogCaptureFixture) -> None:
+    path = save(creation.box((30, 40, 50)))
+    with caplog.at_level(logging.INFO):
+        first = load_part(path)
+        assert load_part(str(path)) is first
+        assert load_part(path, density=1000.0) is not first
+        save(creation.box((30, 40, 60)))
+        assert load_part(path).model.d_max > first.model.d_max
+    assert caplog.text.count("is taken to be in millimetres") == 3
+
+
 # --- what is refused ---
 
 

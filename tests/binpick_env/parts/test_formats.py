@@ -131,17 +131,30 @@ def test_a_truncated_binary_stl_is_named_as_such(save: Save) -> None:
         read_mesh(path)
 
 
+def test_a_truncated_text_stl_is_named_as_such(tmp_path: Path) -> None:
+    content = str(ell().export(file_type="stl_ascii"))
+    half = content[: content.rindex("vertex")]
+    with pytest.raises(ValueError, match=r"it is truncated: 26 facets begin and 25 end; export or copy it again"):
+        read_mesh(text(tmp_path / "part.stl", half))
+
+
 def test_bytes_after_a_binary_stl_are_ignored(save: Save) -> None:
     path = save(ell())
     path.write_bytes(path.read_bytes() + b"exported by nobody" * 3)
     assert read_mesh(path).volume == pytest.approx(ell().volume, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", ["part.obj", "part.stl"])
+@pytest.mark.parametrize("name", ["part.obj", "part.stl", "part.ply", "text.ply", "part.off"])
 def test_comments_in_latin_1_are_read(tmp_path: Path, name: str) -> None:
     latin = "Gehäuse".encode("latin-1")
     if name.endswith("obj"):
         content = b"# " + latin + b"\n" + str(ell().export(file_type="obj")).encode()
+    elif name.endswith("off"):
+        content = str(ell().export(file_type="off")).encode().replace(b"OFF\n", b"OFF\n# " + latin + b"\n", 1)
+    elif name.endswith("ply"):
+        encoding = "ascii" if name == "text.ply" else "binary"
+        data = ell().export(file_type="ply", encoding=encoding)
+        content = data.replace(b"ply\n", b"ply\ncomment " + latin + b"\n", 1)
     else:
         content = str(ell().export(file_type="stl_ascii")).encode().replace(b"solid", b"solid " + latin, 1)
     (tmp_path / name).write_bytes(content)
@@ -212,13 +225,31 @@ def test_corners_that_differ_by_rounding_are_merged(save: Save, noise: float, ca
     assert mesh.volume == pytest.approx(ell().volume, rel=1e-3)
 
 
+@pytest.mark.parametrize("mesh", [ell(), creation.box((0.03, 0.04, 0.05))])
+def test_corners_that_differ_by_more_than_rounding_are_refused_as_open(save: Save, mesh: trimesh.Trimesh) -> None:
+    faces = len(mesh.faces)
+    with pytest.raises(ValueError, match=rf"after repair {3 * faces} of {3 * faces} edges are open"):
+        read_mesh(save(soup(mesh, 5e-5), "part.ply"))
+
+
+def test_a_closed_part_with_a_lone_triangle_is_refused_as_open(save: Save) -> None:
+    lone = trimesh.Trimesh([(0.1, 0, 0), (0.11, 0, 0), (0.1, 0.01, 0.002)], [(0, 1, 2)], process=False)
+    with pytest.raises(ValueError, match=r"3 of \d+ edges are open"):
+        read_mesh(save(trimesh.util.concatenate([ell(), lone]), "part.ply"))
+
+
+def test_a_mesh_without_any_volume_is_one_body() -> None:
+    sheet = trimesh.Trimesh(np.eye(3), [(0, 1, 2), (0, 2, 1)], process=False)
+    assert bodies_of(sheet) == [sheet]
+
+
 def test_flat_holes_are_closed_however_wide(save: Save, caplog: pytest.LogCaptureFixture) -> None:
     tub = creation.cylinder(radius=0.02, height=0.06, sections=32)
     volume = tub.volume
     tub.update_faces(tub.triangles_center[:, 2] < 0.029)  # without its lid
     with caplog.at_level(logging.WARNING):
         assert read_mesh(save(tub)).volume == pytest.approx(volume, rel=1e-5)
-    assert "1 holes up to 0.04 wide were closed" in caplog.text
+    assert "holes up to 0.04 wide were closed (1)" in caplog.text
 
 
 def test_a_flat_concave_hole_is_closed_by_faces_that_do_not_overlap(save: Save) -> None:
