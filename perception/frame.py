@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from perception.geometry import (
     NEAR,
     Floats,
+    as_floats,
     invert_transform,
     project_points,
     require_camera,
@@ -35,6 +36,10 @@ class Frame:
     T_world_cam: Floats
 
     def __post_init__(self) -> None:
+        for name in ("K", "T_world_cam"):
+            object.__setattr__(self, name, as_floats(name, getattr(self, name)))
+        for name in ("grey", "depth"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name)))
         if self.depth.ndim != 2 or self.grey.shape != self.depth.shape:
             raise ValueError(
                 f"grey and depth must have the same shape (H, W), got {self.grey.shape} and {self.depth.shape}"
@@ -67,6 +72,8 @@ class Workspace:
     inner_size: Floats
 
     def __post_init__(self) -> None:
+        for name in ("T_world_bin", "inner_size"):
+            object.__setattr__(self, name, as_floats(name, getattr(self, name)))
         require_rigid("T_world_bin", self.T_world_bin)
         require_shape("inner_size", self.inner_size, (3,))
         if not np.all(self.inner_size > 0):

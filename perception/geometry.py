@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 Floats = NDArray[np.float64]
 NEAR = 1e-3  # smallest depth of a point that is projected or drawn [m]
 _FIELDS_OF_VIEW = 0.5, 170.0  # angles that an image's width or height can show [deg]
+_SKEW = 0.01  # largest skew that is taken for a rounding error [px]
 _RIGID = 1e-3  # largest deviation of R^T R from the identity: a pose written with three decimals is still rigid
 
 
@@ -20,6 +21,18 @@ def require_shape(name: str, array: NDArray[np.generic], shape: tuple[int | None
     if not fits:
         wanted = ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "")
         raise ValueError(f"{name} must be ({wanted}), got {array.shape}")
+
+
+def as_floats(name: str, values: ArrayLike) -> Floats:
+    """Return numbers, also those of a list or a tuple, as a float64 array; one of these is returned as it is.
+
+    Raises:
+        ValueError: They are no numbers.
+    """
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be an array of numbers, got {values!r}") from None
 
 
 def require_rigid(name: str, T_a_b: Floats) -> None:
@@ -148,7 +161,11 @@ def require_camera(K: Floats, width: int, height: int) -> None:
     if not (np.all(np.isfinite(K)) and K[0, 0] > 0 and K[1, 1] > 0):
         raise ValueError(f"K must be finite with positive focal lengths, got {K.tolist()}")
     if not np.allclose([*K[2], K[1, 0]], [0.0, 0.0, 1.0, 0.0], rtol=0, atol=1e-9):
-        raise ValueError(f"K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}: is it transposed?")
+        raise ValueError(f"K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}: is it transposed?")
+    if abs(K[0, 1]) > _SKEW:
+        raise ValueError(
+            f"K must have no skew, got K[0, 1] = {K[0, 1]:g} px: calibrate without skew, or rectify the images"
+        )
     for name, unit, size, focal, centre in (
         ("fx", "width", width, K[0, 0], K[0, 2]),
         ("fy", "height", height, K[1, 1], K[1, 2]),

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
-from perception.geometry import Floats, require_shape, rotation_about, rotation_angle
+from perception.geometry import Floats, as_floats, require_shape, rotation_about, rotation_angle
 from perception.size import require_size
 from perception.winding import outward, signed_volume
 
@@ -37,6 +37,9 @@ class Symmetry:
     sphere: bool = False
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "rotations", as_floats("rotations", self.rotations))
+        if self.axis is not None:
+            object.__setattr__(self, "axis", as_floats("axis", self.axis))
         require_shape("rotations", self.rotations, (None, 3, 3))
         if len(self.rotations) == 0 or not np.allclose(self.rotations[0], np.eye(3)):
             raise ValueError("rotations must begin with the identity")

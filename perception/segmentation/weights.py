@@ -43,7 +43,8 @@ FORMAT = RecordFormat(
 
 def build_network(config: GridNetConfig | SgpnConfig) -> Network:
     """Return a network with weights drawn from torch's global generator."""
-    return GridNet(config) if isinstance(config, GridNetConfig) else Sgpn(config)
+    network: Network = GridNet(config) if isinstance(config, GridNetConfig) else Sgpn(config)
+    return network.float()  # whatever torch's default type is in the caller's program
 
 
 def save_network(path: Path, network: Network, record: dict[str, Any], *, half: bool = False) -> None:

@@ -48,6 +48,7 @@ class SelectorNet(nn.Module):
             width = hidden
         self.score = _head(width * (3 if hidden and self.config.context else 1), hidden)
         self.value = _head(2 * width, hidden)
+        self.float()  # whatever torch's default type is in the caller's program
 
     def forward(self, rows_BKF: Tensor, mask_BK: Tensor) -> tuple[Tensor, Tensor]:
         """Return the logits (B, K) of the rows and the values (B,) of the states.

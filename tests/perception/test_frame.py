@@ -100,9 +100,16 @@ def test_any_depth_is_finite_and_not_negative_afterwards(values: list[float], dt
         ),
         (
             {"K": camera_matrix(100.0, 6, 4).T},
-            "K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]], got "
+            "K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got "
             "[[100.0, 0.0, 0.0], [0.0, 100.0, 0.0], [2.5, 1.5, 1.0]]: is it transposed?",
         ),
+        (
+            {"K": np.array([[100.0, 120.0, 2.5], [0.0, 100.0, 1.5], [0.0, 0.0, 1.0]])},
+            "K must have no skew, got K[0, 1] = 120 px: calibrate without skew, or rectify the images",
+        ),
+        ({"K": "K"}, "K must be an array of numbers, got 'K'"),
+        ({"K": [[1.0, 2.0], [3.0]]}, "K must be an array of numbers, got [[1.0, 2.0], [3.0]]"),
+        ({"depth": None}, "grey and depth must have the same shape (H, W), got (4, 6) and ()"),
         (
             {"K": camera_matrix(0.1, 6, 4)},
             "K does not fit the image: with fx = 0.1 px, a width of 6 px is a field of view of 176 degrees, "
@@ -144,6 +151,22 @@ def test_a_frame_that_makes_no_sense_is_refused(changes: dict[str, Any], text: s
         frame(**changes)
 
 
+def test_lists_and_tuples_of_numbers_are_taken() -> None:
+    plain = frame()
+    lists = frame(
+        grey=np.zeros(SHAPE, np.uint8),
+        depth=plain.depth.tolist(),
+        K=[[100, 0, 2.5], [0, 100, 1.5], [0, 0, 1]],
+        T_world_cam=tuple(map(tuple, plain.T_world_cam.tolist())),
+    )
+    np.testing.assert_array_equal(lists.depth, plain.depth)
+    assert lists.depth.dtype == np.float32
+    np.testing.assert_array_equal(lists.T_world_cam, plain.T_world_cam)
+    assert lists.K.dtype == lists.T_world_cam.dtype == np.float64
+    whole = Workspace(T_world_bin=np.eye(4, dtype=int).tolist(), inner_size=(1, 2, 3))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(whole.inner_size, [1.0, 2.0, 3.0])
+
+
 # --- Workspace -------------------------------------------------------------------------------------------------------
 
 
@@ -157,6 +180,8 @@ def test_a_frame_that_makes_no_sense_is_refused(changes: dict[str, Any], text: s
             "the cross product of the other two, or ask for the right-handed axes of the source",
         ),
         ({"inner_size": np.ones(2)}, "inner_size must be (3,), got (2,)"),
+        ({"inner_size": None}, "inner_size must be (3,), got ()"),
+        ({"T_world_bin": "eye"}, "T_world_bin must be an array of numbers, got 'eye'"),
         ({"inner_size": np.array([0.3, 0.0, 0.1])}, "inner_size must be positive, got [0.3, 0.0, 0.1]"),
         ({"inner_size": np.array([0.3, np.nan, 0.1])}, "inner_size must be positive, got [0.3, nan, 0.1]"),
     ],

@@ -115,6 +115,12 @@ def test_order_and_elements() -> None:
         assert max(gaps) < 1e-7  # closed under multiplication
 
 
+def test_a_symmetry_may_be_given_as_lists() -> None:
+    symmetry = Symmetry(rotations=[np.eye(3).tolist()], axis=(0, 0, 1))  # type: ignore[arg-type]
+    assert symmetry.order == np.inf
+    assert symmetry.distance(np.eye(3), rotation_about((0, 0, 1), 1.0)) == pytest.approx(0.0, abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -1,6 +1,7 @@
 """Weights on disk: found by name, read back to the bit, refused when they are not whole."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from perception.segmentation.weights import (
     SHIPPED,
     FoundWeights,
     WeightsError,
+    build_network,
     find_weights,
     general_weights,
     install_weights,
@@ -45,6 +47,21 @@ def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(module, "SHIPPED", tmp_path / "shipped")
     return tmp_path / "cache" / "weights", tmp_path / "shipped"
+
+
+@pytest.fixture
+def double_by_default() -> Iterator[None]:
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(torch.float32)
+
+
+@pytest.mark.parametrize("config", [network.config for network in NETWORKS], ids=["grid", "sgpn"])
+def test_networks_are_of_single_precision_whatever_the_callers_default(
+    config: GridNetConfig | SgpnConfig, double_by_default: None
+) -> None:
+    network = build_network(config)
+    assert {tensor.dtype for tensor in network.state_dict().values() if tensor.is_floating_point()} == {torch.float32}
 
 
 @pytest.mark.parametrize("network", NETWORKS, ids=["grid", "sgpn"])
