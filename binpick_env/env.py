@@ -20,15 +20,16 @@ from binpick_env.cell.render import CellRenderer
 from binpick_env.cell.robot import HOME
 from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
-from binpick_env.config import CONTROL_PERIOD, CameraConfig, CellConfig, SensorPreset, Trust
+from binpick_env.config import CONTROL_PERIOD, Backend, CameraConfig, CellConfig, SensorPreset, Trust
+from binpick_env.env_arguments import count_range, episode_count, thread_count
 from binpick_env.env_spaces import Observation, ObsMode, action_limits, observation_boxes, observe
 from binpick_env.episode import EpisodeProperties, EpisodeState, FrameState, Snapshot
 from binpick_env.observation.factory import make_perceiver, resolve_noise
 from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
-from binpick_env.options import checked_range, resolve_cell
-from binpick_env.part_limits import check_part
+from binpick_env.options import resolve_cell
+from binpick_env.part_limits import check_part, require_room
 from binpick_env.parts.part import Part, resolve_part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
@@ -101,14 +102,15 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     | `camera_distance` | `None` | distance of the camera from the bin's floor [m]; 0.9 unless given |
     | `width` | `None` | width of the image [px]; 1280 unless given |
     | `height` | `None` | height of the image [px]; 960 unless given |
+    | `backend` | `None` | what renders the depth image: `"raster"`, `"rays"` or `"egl"`; `"raster"` unless given |
     | `hand_eye_mm` | `None` | standard deviation per axis of the error of the camera's reported position [mm]; 0 unless given |
-    | `camera` | `None` | a `CameraConfig`, in place of the four options before |
+    | `camera` | `None` | a `CameraConfig`, in place of the five options before |
     | `hand_eye_deg` | `None` | standard deviation per axis of the error of the camera's reported orientation [deg]; 0 unless given |
     | `trust` | `None` | `"bin"` corrects the camera's reported pose by the bin, which is measured in each frame; `"camera"` (the default) takes it as it is |
     | `pose_noise` | `None` | errors of the oracle's poses: a `PoseNoise`, a `PerceptionNoise`, or `"learned"` for those of the learned perceiver on this part or parts like it, under this sensor |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
     | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts, camera, in place of the options `bin` to `hand_eye_mm`, `hand_eye_deg` and `trust` |
-    | `threads` | `None` | number of threads of the ray caster, and of torch and OpenCV in perception; all cores unless given |
+    | `threads` | `None` | number of threads of the ray caster, and of torch and OpenCV in perception; unless given, all cores, or one in a process that another one started, as vector environments do |
     | `render_mode` | `None` | `"rgb_array"`, `"depth_array"` (the camera's view) or `"human"` (MuJoCo's viewer) |
 
     ## Versions
@@ -142,6 +144,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         camera_distance: float | None = None,
         width: int | None = None,
         height: int | None = None,
+        backend: Backend | None = None,
         hand_eye_mm: float | None = None,
         friction: float | None = None,
         hand_eye_deg: float | None = None,
@@ -153,6 +156,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             "camera_distance": camera_distance,
             "width": width,
             "height": height,
+            "backend": backend,
             "hand_eye_mm": hand_eye_mm,
             "friction": friction,
             "hand_eye_deg": hand_eye_deg,
@@ -182,14 +186,14 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             raise ValueError(f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}")
         if obs_mode not in ("state", "rgbd"):
             raise ValueError(f"obs_mode must be 'state' or 'rgbd', got {obs_mode!r}")
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads must be at least 1, got {threads}")
-        self._num_parts = checked_range(num_parts)
+        threads = thread_count(threads)
+        self._num_parts = count_range(num_parts)
         self._sensor = sensor_model(sensor)
         # The cell, what perceives it, and what shows it.
         self.config = resolve_cell(config, camera, **cell)
         self.part = resolve_part(part, unit, symmetry, density, symmetry_tolerance)
         check_part(self.part, self.config)
+        require_room(self.part, self.config.bin, self._num_parts[1])
         self.workspace: Workspace = self.config.bin.workspace()
         noise = resolve_noise(pose_noise, self.part, sensor, self.config.camera)
         self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads)
@@ -212,9 +216,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     ) -> tuple[Observation, dict[str, Any]]:
         """Drop and settle a new pile. ``options={"num_parts": n}`` sets its size for this episode."""
         super().reset(seed=seed)
-        low, high = self._num_parts
-        count = int(self.np_random.integers(low, high + 1))
-        count = int((options or {}).get("num_parts", count))
+        count = episode_count(options, self._num_parts, self.np_random)
         drop_and_settle(self.simulation, count, self.np_random)
         self.simulation.data.time = 0.0
         self._judge = DeliveryJudge(self.simulation, CONTROL_PERIOD)

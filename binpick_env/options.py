@@ -29,7 +29,7 @@ MAX_HAND_EYE_MM = 15.0  # [mm]; the limit of `CameraConfig.hand_eye`
 MAX_HAND_EYE_DEG = 3.0  # [deg]; about the limit of `CalibrationConfig.rotation`
 _PEDESTAL_HALF = 0.09  # half the side of the robot's pedestal, which stands at the world's origin [m]
 # The arguments of an environment that hold other options: what may not be given beside them.
-_IN_CAMERA = ("camera_distance", "width", "height", "hand_eye_mm")
+_IN_CAMERA = ("camera_distance", "width", "height", "backend", "hand_eye_mm")
 _IN_CONFIG = ("bin", "jaw", "friction", "hand_eye_deg", "trust", *_IN_CAMERA)
 
 
@@ -165,18 +165,6 @@ def resolve_cell(config: CellConfig | None, camera: CameraConfig | None, **optio
             raise ValueError(f"{', '.join(twice)} cannot be given beside {name}, which contains it: set it in {name}")
     cell = config or CellOptions(**given).cell()
     return cell if camera is None else replace(cell, camera=camera)
-
-
-def checked_range(num_parts: int | tuple[int, int]) -> tuple[int, int]:
-    """Return the smallest and the largest number of parts of a number or a pair.
-
-    Raises:
-        ValueError: It is not positive, or the pair does not rise.
-    """
-    low, high = num_parts if isinstance(num_parts, tuple | list) else (int(num_parts), int(num_parts))
-    if not 1 <= low <= high:
-        raise ValueError(f"num_parts must be a positive number or a rising pair, got {num_parts}")
-    return low, high
 
 
 def _check_bin(inner_size: tuple[float, float, float]) -> None:

@@ -1,15 +1,19 @@
 """What a cell's bin and jaw cannot do with a part; perception takes parts of more sizes."""
 
 import logging
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
 from binpick_env.config import GRIPPER_STROKE, BinConfig, CellConfig
+from binpick_env.jobs.text_tables import counted
 from binpick_env.parts.mesh_file import D_MAX
 from binpick_env.parts.part import Part
 
 log = logging.getLogger(__name__)
+FILLING = 0.4  # largest volume of the parts' hulls in a full bin, as a share of the bin's: see `bin_capacity`
+HEAPED = 1.0  # the same of a heap up to twice the bin's height, half of which is air: more parts lie in no bin
 _POSE_ERROR = 0.005  # room for the pose's error on each side of a grasped part [m]
 
 
@@ -35,6 +39,38 @@ def check_part(part: Part, config: CellConfig) -> None:
         )
     jaw = GRIPPER_STROKE if config.robot.jaw is None else config.robot.jaw
     _say_what_fits(part.source, round(1e3 * float(np.min(part.sides)), 1), round(1e3 * (jaw - 2 * _POSE_ERROR), 1))
+
+
+def require_room(part: Part, config: BinConfig, count: int) -> None:
+    """Refuse more parts than can be heaped on a bin.
+
+    Raises:
+        ValueError: There is no room for ``count`` parts; the message says for how many there is.
+    """
+    most = _hulls_in(part, config.inner_size, HEAPED)
+    if count > most:
+        length, width, height = (f"{1000 * side:g}" for side in config.inner_size)
+        full = bin_capacity(part, config.inner_size)
+        raise ValueError(
+            f"{counted(count, 'part')} of d_max {1000 * part.model.d_max:.0f} mm do not fit into a bin of "
+            f"{length} x {width} x {height} mm: it is full with {full}, and no more than {most} can be heaped on it; "
+            "use fewer parts or a larger bin"
+        )
+
+
+def bin_capacity(part: Part, inner_size: Sequence[float]) -> int:
+    """Return how many parts a bin holds, at least 1: the hulls of so many take `FILLING` of its volume.
+
+    Args:
+        part: Part that the bin is filled with.
+        inner_size: Length, width and height inside the bin [m].
+    """
+    return _hulls_in(part, inner_size, FILLING)
+
+
+def _hulls_in(part: Part, inner_size: Sequence[float], share: float) -> int:
+    """Return how many hulls of a part take a share of a bin's volume, at least 1."""
+    return max(1, int(share * np.prod(inner_size) / part.model.mesh.convex_hull.volume))
 
 
 def largest_d_max(config: BinConfig) -> float:

@@ -1,7 +1,9 @@
 """The overhead depth camera: true depth and part ids from one of three backends, then shading and sensor noise."""
 
+import logging
 import os
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -22,6 +24,7 @@ from binpick_env.config import CameraConfig, SensorPreset
 from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import Floats, camera_matrix, make_transform, require_shape, rotation_about
 
+log = logging.getLogger(__name__)
 MARGIN = 0.03  # width of the rendered border around the bin's inner box [m]: its walls and a little of the table
 HEADROOM = 0.03  # height above the rim that is rendered, for a heaped pile [m]
 OFF = 0.005  # difference from the true depth up to which a measurement is of the pixel's own surface [m]
@@ -94,6 +97,8 @@ class DepthCamera:
         self._rays = RayCaster(model, threads) if config.backend == "rays" else None
         self._egl = EglRenderer(model, config.width, config.height) if config.backend == "egl" else None
         self.move(default_pose(workspace, config.distance) if T_world_cam is None else T_world_cam)
+        if T_world_cam is None:
+            _say_what_is_unseen(config, *(float(side) for side in workspace.inner_size))
 
     def move(self, T_world_cam: Floats) -> None:
         """Put the camera at another (4, 4) pose, OpenCV axes."""
@@ -229,3 +234,26 @@ def default_pose(workspace: Workspace, distance: float) -> Floats:
         distance: Distance of the camera from the bin's inner floor [m].
     """
     return workspace.T_world_bin @ make_transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, distance))
+
+
+@lru_cache(maxsize=64)
+def _say_what_is_unseen(config: CameraConfig, length: float, width: float, height: float) -> None:
+    """Log, once for a camera and a bin, that the bin's rim does not fit into the image.
+
+    Args:
+        config: Camera, straight above the bin.
+        length: Length inside the bin, along the image's x axis [m].
+        width: Width inside the bin [m].
+        height: Height inside the bin [m].
+    """
+    to_rim = config.distance - height
+    sides = (length * config.focal_px / config.width, width * config.focal_px / config.height)
+    needed = height + max(sides)
+    if to_rim < max(sides):
+        log.warning(
+            "a bin of %g x %g x %g mm lies partly outside the image of a camera %g m above its floor: its rim is seen "
+            "from %.2f m on (--camera-distance, in Python camera_distance=)",
+            *(1000 * side for side in (length, width, height)),
+            config.distance,
+            needed,
+        )

@@ -15,6 +15,7 @@ from binpick_env.parts.part import Part
 from perception.geometry import Floats, make_transform, quat_from_matrix
 
 VISIBLE, COLLISION = 2, 3
+LEAST_DEPTH = 0.02  # least depth of a floor for contacts [m]; thin parts fall through shallower ones
 PART = "part_"  # bodies are part_0, part_1, ...
 BIN_BODY, TRAY_BODY, TABLE_GEOM = "bin", "tray", "table"
 
@@ -77,6 +78,10 @@ def _add_box(spec: mujoco.MjSpec, box: _OpenBox, contact: ContactConfig) -> None
     }
     for side, (size, pos) in sides.items():
         geom = body.add_geom(name=f"{box.name}/{side}", type=_BOX, size=size, pos=pos, rgba=box.rgba, group=VISIBLE)
+        if side == "floor" and wall < LEAST_DEPTH:
+            geom.contype = geom.conaffinity = 0
+            size, pos = [size[0], size[1], LEAST_DEPTH / 2], [0, 0, -LEAST_DEPTH / 2]
+            geom = body.add_geom(name=f"{box.name}/floor_contact", type=_BOX, size=size, pos=pos, group=COLLISION)
         _apply(geom, contact)
 
 

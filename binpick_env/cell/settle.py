@@ -1,11 +1,16 @@
 """Dropping parts into the bin until they have come to rest."""
 
+import logging
+
 import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.cell.simulation import Simulation
+from binpick_env.jobs.text_tables import counted
+from binpick_env.part_limits import require_room
 from perception.geometry import make_transform, random_rotation
 
+log = logging.getLogger(__name__)
 BATCH_PERIOD = 0.12  # time between two releases [s]
 SETTLE_LIMIT = 6.0  # longest time that a pile gets to come to rest after the last release [s]
 ATTEMPTS = 5  # number of piles that are tried
@@ -18,7 +23,8 @@ class SettleError(RuntimeError):
 def drop_and_settle(simulation: Simulation, count: int, rng: np.random.Generator) -> None:
     """Fill the bin with parts, dropped in random attitudes, four at a time, and wait until all of them sleep.
 
-    A part that comes to rest outside of the bin is dropped again. A pile that does not come to rest is started anew.
+    A part that comes to rest outside of the bin is dropped again. A pile that does not come to rest is started anew,
+    and the log says so.
 
     Args:
         simulation: Simulation, which is reset first.
@@ -26,24 +32,29 @@ def drop_and_settle(simulation: Simulation, count: int, rng: np.random.Generator
         rng: Source of all random numbers.
 
     Raises:
-        ValueError: ``count`` is not in 0..capacity.
-        SettleError: No pile came to rest in ``ATTEMPTS`` attempts: the bin is too small for the parts.
+        ValueError: ``count`` is not in 0..capacity, or more than can be heaped on the bin.
+        SettleError: No pile came to rest in ``ATTEMPTS`` attempts: the bin is too small for the parts. Or a part fell
+            through the floor.
     """
     if not 0 <= count <= simulation.capacity:
         raise ValueError(f"count must be in 0..{simulation.capacity}, got {count}")
-    for _ in range(ATTEMPTS):
+    require_room(simulation.part, simulation.config.bin, count)
+    for attempt in range(ATTEMPTS):
         simulation.reset()
         waiting = list(range(count))
         for _ in range(3):
             _release(simulation, waiting, rng)
-            if not _settle(simulation):
+            settled = _settle(simulation)
+            _require_above_floor(simulation)
+            if not settled:
                 break
             waiting = [i for i in range(count) if not inside_bin(simulation)[i]]
             if not waiting:
                 return
+        log.info("pile %d of at most %d with %d parts did not come to rest in the bin", attempt + 1, ATTEMPTS, count)
     raise SettleError(
-        f"{count} parts of d_max {simulation.part.model.d_max * 1000:.0f} mm do not come to rest in a bin of "
-        f"{simulation.config.bin.inner_size} m; use fewer parts or a larger bin"
+        f"{counted(count, 'part')} of d_max {simulation.part.model.d_max * 1000:.0f} mm do not come to rest in a bin "
+        f"of {simulation.config.bin.inner_size} m; use fewer parts or a larger bin"
     )
 
 
@@ -52,6 +63,25 @@ def inside_bin(simulation: Simulation) -> NDArray[np.bool_]:
     workspace = simulation.config.bin.workspace()
     headroom = float(workspace.inner_size[2])
     return simulation.in_play & workspace.contains(simulation.part_centres(), headroom=headroom)
+
+
+def _require_above_floor(simulation: Simulation) -> None:
+    """Refuse a pile of which a part lies under the bin's floor: dropping it again would hide that it fell through.
+
+    Raises:
+        SettleError: A centre is below the inner floor, and within its outline.
+    """
+    if not np.all(np.isfinite(simulation.data.qpos)):
+        return  # diverged: nothing is known of where the parts are
+    workspace = simulation.config.bin.workspace()
+    centres_bin = workspace.to_bin(simulation.part_centres())
+    under = np.all(np.abs(centres_bin[:, :2]) <= workspace.inner_size[:2] / 2, axis=1) & (centres_bin[:, 2] < 0)
+    fallen = int(np.count_nonzero(under & simulation.in_play))
+    if fallen:
+        raise SettleError(
+            f"{counted(fallen, 'part')} fell through the floor of the bin: their contacts are not resolved at a time "
+            f"step of {simulation.model.opt.timestep:g} s; use a shorter one, or a thicker part"
+        )
 
 
 def _release(simulation: Simulation, parts: list[int], rng: np.random.Generator) -> None:

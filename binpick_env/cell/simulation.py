@@ -218,6 +218,10 @@ class Simulation:
     def place(self, i: int, T_world_part: Floats) -> None:
         """Put part ``i`` into play at a (4, 4) pose, at rest."""
         self.move(i, T_world_part)
+        # A part that is awake but about to fall asleep would do so where it was put, in mid-air: begin its wait anew.
+        trees = self.data.tree_asleep
+        if trees[self._part_tree[i]] < 0:
+            trees[self._part_tree[i]] = -(1 + mujoco.mjMINAWAKE)
         self.model.body_gravcomp[self._part_body[i]] = 0.0
         self.in_play[i] = True
 
@@ -229,7 +233,8 @@ class Simulation:
 
     def move(self, i: int, T_world_part: Floats) -> None:
         """Put part ``i`` at a (4, 4) pose, at rest; whether it is in play does not change."""
-        # A changed qpos wakes a sleeping tree, and every tree that sleeps in one island with it, at the next step.
+        # A changed qpos wakes a sleeping tree, and every tree that sleeps in one island with it, at the next step. It
+        # does nothing to a tree that is awake.
         self.data.qpos[self._part_qpos[i]] = [*T_world_part[:3, 3], *quat_from_matrix(T_world_part[:3, :3])]
         self.data.qvel[self._part_dof[i]] = 0.0
         self.data.qacc_warmstart[self._part_dof[i]] = 0.0

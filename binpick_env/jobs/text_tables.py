@@ -39,3 +39,8 @@ def fine(value: float | None) -> str:
 def spread(interval: tuple[float, float] | None) -> str:
     """Return an interval of whole numbers, or a dash for None."""
     return "–" if interval is None else f"{interval[0]:.0f} to {interval[1]:.0f}"
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, in the plural unless it is 1: "1 bin", "20 bins"."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from binpick_env.config import AppearanceChoice, CameraConfig, CellConfig, Senso
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.options import CellOptions
+from binpick_env.part_limits import bin_capacity as bin_capacity
 from binpick_env.parts.catalogue import CATALOGUE
 from binpick_env.parts.families.generator import VERSION as GENERATOR_VERSION
 from binpick_env.parts.families.names import is_generated, training_parts
@@ -37,7 +38,6 @@ from perception.shape import shape_signature
 _log = logging.getLogger(__name__)
 MANY_PARTS = "generated"  # stands for parts of all training families, for the training of one network for every part
 SCENES_PER_PART = 4  # number of successive scenes of one part of `MANY_PARTS`
-FILLING = 0.4  # largest volume of the parts' hulls, as a share of the bin's: see `bin_capacity`
 # Newer fields and their defaults.
 _NEWER_FIELDS = {
     "symmetry": "detect",
@@ -157,20 +157,10 @@ def _of_many(config: SceneConfig, number: int) -> SceneConfig:
 
 
 def with_room(config: SceneConfig) -> SceneConfig:
-    """Return a configuration with at most as many parts as fit into the bin; see :data:`FILLING`."""
+    """Return a configuration with at most as many parts as fit into the bin; see :func:`bin_capacity`."""
     low, high = config.num_parts
     room = bin_capacity(config.options().load_part(), config.cell().bin.inner_size)
     return replace(config, num_parts=(min(low, room), min(high, room)))
-
-
-def bin_capacity(part: Part, inner_size: Sequence[float]) -> int:
-    """Return how many parts a bin holds, at least 1: the hulls of so many take `FILLING` of its volume.
-
-    Args:
-        part: Part that the bin is filled with.
-        inner_size: Length, width and height inside the bin [m].
-    """
-    return max(1, int(FILLING * np.prod(inner_size) / part.model.mesh.convex_hull.volume))
 
 
 def make_scene(config: SceneConfig, index: int) -> CapturedScene:

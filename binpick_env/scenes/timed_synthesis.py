@@ -58,7 +58,7 @@ def load_making(path: Path) -> Making | None:
     if not path.exists():
         return None
     try:
-        values = json.loads(path.read_text())
+        values = json.loads(path.read_text(encoding="utf-8"))
         scenes = tuple(str(name) for name in values.get("scenes", ()))
         return Making(seconds=float(values["seconds"]), done=bool(values["done"]), scenes=scenes)
     except (ValueError, TypeError, KeyError, AttributeError) as error:

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field, replace
 from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig
 from binpick_env.evaluation.pose.method import PoseMethodConfig
 from binpick_env.options import CellOptions, evaluated, scenes_of
+from binpick_env.part_limits import bin_capacity
 from binpick_env.parts.part import Part
-from binpick_env.scenes.synthesis import SceneConfig, bin_capacity
+from binpick_env.scenes.synthesis import SceneConfig
 from perception.segmentation.weights import find_weights
 from policies.evaluation.config import EvaluationConfig
 

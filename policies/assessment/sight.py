@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 from binpick_env.config import CellConfig
 from binpick_env.options import CellOptions
-from binpick_env.part_limits import largest_d_max
+from binpick_env.part_limits import bin_capacity, largest_d_max
 from binpick_env.parts.part import Part
-from binpick_env.scenes.synthesis import bin_capacity
 from binpick_env.scenes.whole_part import whole_part_points
 
 JITTER = 0.05  # change of the camera's distance from scene to scene [m]

@@ -13,6 +13,7 @@ from binpick_env.config import CameraConfig, CellConfig, Perception, SensorPrese
 from binpick_env.observation.factory import make_perceiver
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.options import CellOptions
+from binpick_env.part_limits import require_room
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
 from policies.picking.settings import PickerSettings
@@ -107,12 +108,20 @@ class EvaluationConfig:
     def check(self) -> Part:
         """Load what the configuration names, before any worker starts, and return the part.
 
+        What takes least time comes first: a part that the jaw cannot grasp is refused before perception is prepared.
+
         Raises:
-            ValueError: There is no such part or perception mode, the part's file is not usable, or there are no weights
-                for it where perception is "learned".
+            ValueError: There is no such part or perception mode, the part's file is not usable, the bin does not hold
+                so many of it, the jaw finds no grasp on it, or there are no weights for it where perception is
+                "learned".
             FileNotFoundError: The part's file does not exist.
         """
         part = self.options().load_part()
+        require_room(part, self.cell().bin, self.num_parts[1])
+        from policies.grasping.grasps import sample_grasps, why_no_grasp  # here, since it loads the kernels
+
+        if len(sample_grasps(part.model, jaw=self.jaw)) == 0:
+            raise ValueError(why_no_grasp(part.model, jaw=self.jaw))
         make_perceiver(self.perception, part.model, self.cell().bin.workspace(), self.pose_noise)
         return part
 

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from binpick_env.config import CameraConfig, CellConfig, SensorPreset, Trust
+from binpick_env.config import Backend, CameraConfig, CellConfig, SensorPreset, Trust
 from binpick_env.env import BinPickEnv
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
@@ -107,7 +107,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
     | name | default | meaning |
     | --- | --- | --- |
     | `part`, `unit`, `symmetry`, `symmetry_tolerance`, `density`, `num_parts`, `perception`, `sensor`, `pose_noise`, `threads`, `render_mode` | | as `BinPick-v0`'s |
-    | `bin`, `jaw`, `friction`, `camera_distance`, `width`, `height`, `hand_eye_mm`, `hand_eye_deg`, `trust`, `camera`, `config` | `None` | as `BinPick-v0`'s: options of the cell one by one, its camera, or the whole cell |
+    | `bin`, `jaw`, `friction`, `camera_distance`, `width`, `height`, `backend`, `hand_eye_mm`, `hand_eye_deg`, `trust`, `camera`, `config` | `None` | as `BinPick-v0`'s: options of the cell one by one, its camera, or the whole cell |
     | `max_failures` | `2` | consecutive failures that end the bin; `None` for no limit |
     | `per_part` | `3` | largest number of candidates on one part |
     | `picker` | `None` | a `PickerSettings`: settings of ranking and execution |
@@ -144,6 +144,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
         camera_distance: float | None = None,
         width: int | None = None,
         height: int | None = None,
+        backend: Backend | None = None,
         hand_eye_mm: float | None = None,
         friction: float | None = None,
         hand_eye_deg: float | None = None,
@@ -168,6 +169,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
             "camera_distance": camera_distance,
             "width": width,
             "height": height,
+            "backend": backend,
             "hand_eye_mm": hand_eye_mm,
             "friction": friction,
             "hand_eye_deg": hand_eye_deg,

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -189,6 +190,18 @@ def test_resetting_with_the_same_seed_after_another(shared_env: BinPickEnv) -> N
 
 def test_seed_zero_is_a_seed(shared_env: BinPickEnv) -> None:
     assert_same(shared_env.reset(seed=0)[0], shared_env.reset(seed=0)[0])
+
+
+def test_gymnasium_films_it(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy")
+    from gymnasium.wrappers import RecordVideo
+
+    env = RecordVideo(small_env(render_mode="rgb_array", num_parts=1), str(tmp_path), episode_trigger=lambda _: True)
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(REST)
+    env.close()
+    assert [path.suffix for path in tmp_path.iterdir()] == [".mp4"]
 
 
 def test_a_pickled_copy_behaves_the_same() -> None:

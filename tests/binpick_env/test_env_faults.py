@@ -1,5 +1,6 @@
 """What ``BinPick-v0`` refuses or holds to its range, and what it says then."""
 
+import multiprocessing
 import re
 from typing import Any
 
@@ -8,12 +9,13 @@ import pytest
 
 from binpick_env.cell.robot import HOME
 from binpick_env.env import BinPickEnv
+from binpick_env.env_arguments import thread_count
 from tests.binpick_env.small_cell import REST, act, small_env
 
 
-@pytest.mark.parametrize("num_parts", [0, -1, (0, 5), (5, 4)])
+@pytest.mark.parametrize("num_parts", [0, -1, (0, 5), (5, 4), 2.5, "3", (2, 3.5), (1, 2, 3)])
 def test_a_senseless_number_of_parts_is_refused(num_parts: Any) -> None:
-    text = f"num_parts must be a positive number or a rising pair, got {re.escape(str(num_parts))}"
+    text = f"num_parts must be a positive whole number or a rising pair of them, got {re.escape(repr(num_parts))}"
     with pytest.raises(ValueError, match=text):
         small_env(num_parts=num_parts)
 
@@ -35,7 +37,7 @@ def test_an_unknown_choice_names_those_that_exist(argument: str, value: Any, mes
 
 def test_an_unknown_sensor_is_refused() -> None:
     with pytest.raises(ValueError, match="none, good, harsh, stereo, tof or a DepthSensor, got 'nice'"):
-        small_env(sensor="nice").reset(seed=0)
+        small_env(sensor="nice")
 
 
 @pytest.mark.parametrize("action", [np.zeros(6), np.zeros((1, 7)), np.full(7, np.nan), [0, 0, 0, 0, 0, 0, np.inf], 0.0])
@@ -53,8 +55,28 @@ def test_an_action_out_of_range_is_held_to_it(env: BinPickEnv) -> None:
 
 
 def test_more_parts_than_there_is_room_for_are_refused(shared_env: BinPickEnv) -> None:
-    with pytest.raises(ValueError, match=r"count must be in 0\.\.3, got 4"):
+    with pytest.raises(ValueError, match=r"num_parts of reset must be a whole number from 0 to 3, .* got 4"):
         shared_env.reset(seed=0, options={"num_parts": 4})
+
+
+@pytest.mark.parametrize("value", [-1, 2.5, "2", None])
+def test_a_senseless_number_of_parts_of_a_reset_is_refused(shared_env: BinPickEnv, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"num_parts of reset must be a whole number from 0 to 3, .* got {value!r}"):
+        shared_env.reset(seed=0, options={"num_parts": value})
+
+
+def test_an_unknown_option_of_a_reset_is_refused(shared_env: BinPickEnv) -> None:
+    with pytest.raises(ValueError, match="options of reset must be among num_parts, got parts"):
+        shared_env.reset(seed=0, options={"parts": 2})
+
+
+def test_more_parts_than_can_be_heaped_on_the_bin_are_refused_at_once() -> None:
+    text = (
+        r"200 parts of d_max 92 mm do not fit into a bin of 360 x 260 x 120 mm: it is full with \d+, and no more than "
+        r"\d+ can be heaped on it; use fewer parts or a larger bin"
+    )
+    with pytest.raises(ValueError, match=text):
+        small_env(num_parts=200)
 
 
 def test_there_is_no_frame_before_the_first_reset() -> None:
@@ -71,6 +93,14 @@ def test_the_number_of_parts_may_be_numpys() -> None:
     env = small_env(num_parts=np.int64(2))
     _, info = env.reset(seed=0)
     assert info["total"] == 2
+
+
+@pytest.mark.parametrize(("parent", "given", "threads"), [(None, None, None), (1, None, 1), (1, 2, 2), (None, 3, 3)])
+def test_a_copy_in_another_process_takes_one_thread_unless_told_otherwise(
+    monkeypatch: pytest.MonkeyPatch, parent: int | None, given: int | None, threads: int | None
+) -> None:
+    monkeypatch.setattr(multiprocessing, "parent_process", lambda: parent)
+    assert thread_count(given) == threads
 
 
 def test_a_diverged_cell_is_an_error(shared_env: BinPickEnv) -> None:

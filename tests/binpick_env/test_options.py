@@ -27,6 +27,7 @@ from binpick_env.config import (
 from binpick_env.env import BinPickEnv
 from binpick_env.options import CellOptions, resolve_cell
 from binpick_env.parts import load_part
+from policies.selection.env import GraspSelectionEnv
 from tests.binpick_env.small_cell import REST, above_tray, act, assert_same, small_simulation
 
 pytestmark = pytest.mark.slow
@@ -68,12 +69,13 @@ OPTIONS: dict[str, tuple[Any, Callable[[BinPickEnv], object], object]] = {
     "width": (80, lambda env: env.camera.K[0, 2], 39.5),
     "height": (60, lambda env: env.camera.K[1, 2], 29.5),
     "sensor": ("none", lambda env: bool(np.array_equal(env.frame.depth, env.capture.depth_true)), True),
+    "backend": ("rays", lambda env: env.camera.config.backend, "rays"),
     "hand_eye_mm": (5.0, lambda env: 2.0 < spread_of_the_camera(env) < 25.0, True),
     "friction": (0.2, friction_of_the_bin, pytest.approx(0.2)),
     "hand_eye_deg": (1.0, lambda env: 0.1 < np.degrees(np.linalg.norm(env.camera.rotation_cam)) < 6.0, True),
     "trust": ("bin", lambda env: env.config.calibration.trust, "bin"),
 }
-ELSEWHERE = {"unit", "symmetry_tolerance", "backend"}  # in tests of their own: two need a file, one is the camera's
+ELSEWHERE = {"unit", "symmetry_tolerance"}  # in tests of their own, since they need a file
 
 
 @pytest.fixture(scope="module")
@@ -109,16 +111,16 @@ CELLS = {
 }
 
 
-@pytest.mark.parametrize("name", [*OPTIONS, "backend"])
+@pytest.mark.parametrize("name", OPTIONS)
 def test_an_option_of_cell_options_arrives_in_the_config(name: str) -> None:
-    value = "rays" if name == "backend" else OPTIONS[name][0]
-    cell = CellOptions(**{name: value}).cell()
+    cell = CellOptions(**{name: OPTIONS[name][0]}).cell()
     assert cell == CELLS.get(name, STANDARD)
     assert hash(cell) == hash(CELLS.get(name, STANDARD))
 
 
-def test_the_environment_takes_every_option_but_the_backend() -> None:
-    assert {field.name for field in fields(CellOptions)} - set(inspect.signature(BinPickEnv).parameters) == {"backend"}
+@pytest.mark.parametrize("kind", [BinPickEnv, GraspSelectionEnv])
+def test_the_environments_take_every_option(kind: type) -> None:
+    assert {field.name for field in fields(CellOptions)} <= set(inspect.signature(kind).parameters)
 
 
 def test_every_option_is_tested() -> None:

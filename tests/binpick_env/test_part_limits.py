@@ -9,7 +9,7 @@ import trimesh
 from binpick_env.config import BinConfig
 from binpick_env.env import BinPickEnv
 from binpick_env.options import CellOptions
-from binpick_env.part_limits import largest_d_max
+from binpick_env.part_limits import bin_capacity, largest_d_max, require_room
 from binpick_env.parts import load_part
 
 
@@ -61,3 +61,18 @@ def test_a_part_too_wide_for_the_jaw_is_said_once(
     text = f"is under {widest} mm (the smallest: {1000 * side:g} mm): the jaw cannot grasp it"
     assert caplog.text.count(text) == (widest is not None)
     assert caplog.text.count("the jaw") == (widest is not None)
+
+
+def test_a_bin_holds_parts_whose_hulls_take_two_fifths_of_it() -> None:
+    tee = load_part("tee")
+    hull = tee.model.mesh.convex_hull.volume
+    assert bin_capacity(tee, (1.0, 1.0, 10.4 * hull / 0.4)) == 10
+    assert bin_capacity(tee, (0.01, 0.01, 0.01)) == 1
+
+
+def test_parts_whose_hulls_fill_the_bin_are_the_most_that_can_be_heaped_on_it() -> None:
+    tee = load_part("tee")
+    bin_of_ten = BinConfig(inner_size=(1.0, 1.0, 10.4 * tee.model.mesh.convex_hull.volume))
+    require_room(tee, bin_of_ten, 10)
+    with pytest.raises(ValueError, match=r"11 parts .* full with 4, and no more than 10 can be heaped on it"):
+        require_room(tee, bin_of_ten, 11)

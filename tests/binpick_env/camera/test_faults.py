@@ -109,3 +109,18 @@ def test_two_egl_cameras_take_turns(pile: Scene) -> None:
 def test_workspace_of_another_pose_moves_the_camera() -> None:
     shifted = Workspace(T_world_bin=make_transform(translation=(1.0, 2.0, 3.0)), inner_size=np.array([0.3, 0.2, 0.1]))
     np.testing.assert_allclose(default_pose(shifted, 0.5)[:3, 3], (1.0, 2.0, 3.5))
+
+
+def test_a_bin_that_lies_partly_outside_the_image_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    scene = build(random_poses(1, WORKSPACE, seed=1))
+    near, enough = (replace(CAMERA, distance=distance) for distance in (0.7, 0.8))
+    for config in (enough, near, near):
+        DepthCamera(scene.model, config, WORKSPACE, scene.instance_of_geom, threads=1).close()
+    text = (
+        "a bin of 360 x 260 x 120 mm lies partly outside the image of a camera 0.7 m above its floor: its rim is seen"
+    )
+    assert caplog.text.count("outside the image") == caplog.text.count(text) == 1
+    needed = float(caplog.text.split("its rim is seen from ")[1].split(" m on")[0])
+    view = np.array([CAMERA.width, CAMERA.height]) / CAMERA.focal_px * (needed - 0.12)
+    assert (view >= (0.36 - 0.01, 0.26 - 0.01)).all()
+    assert (view < (0.36 + 0.02, 0.26 + 0.02)).any()

@@ -1,5 +1,7 @@
 """The cell as MuJoCo compiled it: the parts' mass and shape, who is seen and who collides, where the robot stands."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,9 +9,9 @@ import pytest
 from binpick_env.camera.depth_camera import DepthCamera
 from binpick_env.cell import robot
 from binpick_env.cell.robot import ARM_JOINTS, GRIPPER_ACTUATOR, TCP_SITE, robot_spec
-from binpick_env.cell.scene import cell_spec, parking_poses
+from binpick_env.cell.scene import LEAST_DEPTH, cell_spec, parking_poses
 from binpick_env.cell.simulation import Simulation
-from binpick_env.config import CameraConfig, CellConfig, RobotConfig
+from binpick_env.config import BinConfig, CameraConfig, CellConfig, RobotConfig, TrayConfig
 from binpick_env.parts import CATALOGUE, Part, load_part
 from perception.geometry import matrix_from_quat, transform_points
 from tests.binpick_env.small_cell import centred, small_simulation
@@ -115,6 +117,20 @@ def test_bin_and_tray_stand_on_the_table_apart_from_each_other(simulation: Simul
         assert floor.xpos[2] + half == pytest.approx(getattr(config, name).wall)
     gap = abs(config.bin.position[1] - config.tray.position[1])
     assert gap > config.bin.inner_size[0] / 2 + config.bin.wall + config.tray.inner_size[1] / 2 + config.tray.wall
+
+
+@pytest.mark.parametrize("wall", [0.005, 0.02, 0.03])
+def test_floors_are_deep_for_contacts_and_as_thick_as_their_walls_to_see(wall: float) -> None:
+    config = replace(CellConfig(), bin=BinConfig(wall=wall), tray=TrayConfig(wall=0.01))
+    model = cell_spec(config).compile()
+    for name, seen in (("bin", wall), ("tray", 0.01)):
+        floor = model.geom(f"{name}/floor")
+        assert 2 * floor.size[2] == pytest.approx(seen)
+        touched = floor if seen >= LEAST_DEPTH else model.geom(f"{name}/floor_contact")
+        assert 2 * touched.size[2] == pytest.approx(max(seen, LEAST_DEPTH))
+        assert touched.pos[2] + touched.size[2] == pytest.approx(0.0, abs=1e-12)
+        assert touched.contype[0] == touched.conaffinity[0] == 1
+        assert touched is floor or floor.contype[0] == floor.conaffinity[0] == 0
 
 
 # --- robot

@@ -1,15 +1,20 @@
 """Dropping piles: the same seed gives the same bits, everything sleeps inside the bin, and nothing overlaps."""
 
+import logging
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from binpick_env.cell import settle
 from binpick_env.cell.settle import SettleError, drop_and_settle, inside_bin
 from binpick_env.cell.simulation import Simulation
 from binpick_env.config import BinConfig, CellConfig, ContactConfig
+from binpick_env.parts.design import Design
+from binpick_env.parts.part import _assemble
 from perception.geometry import Floats, transform_points
+from perception.part import Symmetry
 from tests.binpick_env.small_cell import centred, deepest_overlap, small_simulation
 
 COUNT = 12
@@ -106,12 +111,48 @@ def test_a_count_out_of_range_is_an_error(shared: Simulation, count: int) -> Non
         drop(shared, seed=0, count=count)
 
 
-def test_too_many_parts_in_a_tiny_bin_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_parts_in_a_tiny_bin_are_an_error(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setattr(settle, "ATTEMPTS", 1)
-    tiny = replace(CellConfig(), bin=BinConfig(inner_size=(0.06, 0.06, 0.02)))
-    text = r"4 parts of d_max 9\d mm do not come to rest in a bin of \(0\.06, 0\.06, 0\.02\) m; use fewer parts"
-    with pytest.raises(SettleError, match=text):
+    tiny = replace(CellConfig(), bin=BinConfig(inner_size=(0.06, 0.06, 0.2)))
+    text = r"4 parts of d_max 9\d mm do not come to rest in a bin of \(0\.06, 0\.06, 0\.2\) m; use fewer parts"
+    with caplog.at_level(logging.INFO), pytest.raises(SettleError, match=text):
         drop(small_simulation(4, tiny), seed=0, count=4)
+    assert "pile 1 of at most 1 with 4 parts did not come to rest in the bin" in caplog.text
+
+
+def test_a_heap_that_cannot_lie_in_the_bin_is_refused_before_it_is_dropped() -> None:
+    tiny = replace(CellConfig(), bin=BinConfig(inner_size=(0.05, 0.05, 0.02)))
+    with pytest.raises(ValueError, match=r"4 parts of d_max 92 mm do not fit into a bin of 50 x 50 x 20 mm"):
+        drop(small_simulation(4, tiny), seed=0, count=4)
+
+
+def test_a_part_under_the_floor_is_an_error_and_is_not_dropped_again(
+    shared: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    release = settle._release
+
+    def sink_one(simulation: Simulation, parts: list[int], rng: np.random.Generator) -> None:
+        release(simulation, parts, rng)
+        simulation.place(0, centred(simulation, (0.5, 0.0, -0.3)))
+
+    monkeypatch.setattr(settle, "_release", sink_one)
+    monkeypatch.setattr(settle, "_settle", lambda simulation: True)
+    with pytest.raises(SettleError, match=r"1 part fell through the floor of the bin: .* time step of 0.002 s"):
+        drop(shared, seed=0, count=2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wall", [0.005, 0.01])
+def test_thin_plates_do_not_fall_through_a_thin_floor(wall: float) -> None:
+    plate = trimesh.creation.box((0.06, 0.04, 0.001))
+    part = _assemble(
+        Design(name="plate", mesh=plate, pieces=(plate.copy(),), density=2700.0, symmetry=Symmetry()), source="plate"
+    )
+    simulation = Simulation(replace(CellConfig(), bin=BinConfig(wall=wall)), part, COUNT)
+    for seed in range(3):
+        drop(simulation, seed)
 
 
 def test_a_diverging_pile_is_drawn_again(shared: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,6 +21,17 @@ def test_parked_parts_hang_where_they_are(simulation: Simulation) -> None:
     assert before[:, 2, 3].max() < -3.0
 
 
+@pytest.mark.parametrize("substeps", range(16))
+def test_a_part_that_is_placed_while_it_falls_asleep_falls(simulation: Simulation, substeps: int) -> None:
+    """After 9 substeps a parked part is awake but about to sleep, and MuJoCo let it do so in mid-air."""
+    simulation.reset()
+    simulation.advance(substeps * simulation.model.opt.timestep)
+    simulation.place(1, centred(simulation, (0.5, 0.0, 0.5)))
+    simulation.advance(0.1)
+    assert not simulation.asleep()[1]
+    assert simulation.part_centres()[1, 2] == pytest.approx(0.5 - 9.81 * 0.1**2 / 2, abs=0.002)
+
+
 def test_a_placed_part_falls_freely(simulation: Simulation) -> None:
     pose = centred(simulation, (0.5, 0.0, 0.8), angle=0.4)
     simulation.place(1, pose)

@@ -13,17 +13,16 @@ import trimesh
 from binpick_env.camera.depth_camera import DepthCamera, default_pose
 from binpick_env.camera.shading import Light
 from binpick_env.config import BinConfig, CameraConfig, SensorChoice
+from binpick_env.part_limits import FILLING
 from binpick_env.parts import load_part
 from binpick_env.parts.families.names import training_parts
 from binpick_env.scenes import synthesis
 from binpick_env.scenes.synthesis import (
-    FILLING,
     FULL_MIXTURE,
     MANY_PARTS,
     MIXTURE,
     SCENES_PER_PART,
     SceneConfig,
-    bin_capacity,
     draw_light,
     ensure_folder_config,
     generate_scenes,
@@ -384,10 +383,3 @@ def test_a_varied_scene_of_all_sensors_is_labelled_and_only_a_varied_one_is_note
     assert "appearance" not in synthesis.scene_settings(TINY)
     with pytest.raises(ValueError, match="appearance must be clean or varied, got 'dirty'"):
         replace(TINY, appearance="dirty")  # type: ignore[arg-type]
-
-
-def test_a_bin_holds_parts_whose_hulls_take_two_fifths_of_it() -> None:
-    tee = load_part("tee")
-    hull = tee.model.mesh.convex_hull.volume
-    assert bin_capacity(tee, (1.0, 1.0, 10.4 * hull / 0.4)) == 10
-    assert bin_capacity(tee, (0.01, 0.01, 0.01)) == 1

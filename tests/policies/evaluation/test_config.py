@@ -109,3 +109,23 @@ def test_impossible_settings_are_refused(tmp_path: Path, monkeypatch: pytest.Mon
     assert learned["training"] == "zero-shot"
     assert EvaluationConfig(part=str(tmp_path / "gone.stl")).weights() is None  # its records are still summarised
     assert EvaluationConfig(part=str(tmp_path / "block.stl"), perception="oracle").check().model.name == "block"
+
+
+@pytest.mark.parametrize("side", [0.08, 0.076])
+def test_a_part_that_the_jaw_cannot_hold_is_refused_before_perception_is_prepared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, side: float
+) -> None:
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("policies.evaluation.config.make_perceiver", None)
+    trimesh.creation.box((side, side + 0.001, side + 0.002)).export(tmp_path / "cube.stl")
+    evaluation = EvaluationConfig(part=str(tmp_path / "cube.stl"), num_parts=(2, 3))
+    text = (
+        rf"finds no grasp on 'cube': it takes at most 7\d mm between two opposite faces, .* {1000 * side:.0f} mm apart"
+    )
+    with pytest.raises(ValueError, match=text):
+        evaluation.check()
+
+
+def test_more_parts_than_can_be_heaped_on_the_bin_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"200 parts of d_max 92 mm do not fit into a bin of 360 x 260 x 120 mm"):
+        EvaluationConfig(num_parts=(20, 200), perception="oracle").check()
