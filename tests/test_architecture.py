@@ -40,6 +40,10 @@ def matching(pattern: str, paths: Iterable[Path]) -> list[str]:
     return [name_of(path) for path in paths if re.search(pattern, path.read_text(), flags=re.MULTILINE)]
 
 
+def test_texts_are_read_and_written_in_utf_8_whatever_the_locale() -> None:
+    assert matching(r"\.read_text\((?!encoding)|\.write_text\((?!.*encoding)", SOURCES) == []
+
+
 def longer_than(most: int, paths: Iterable[Path]) -> list[str]:
     """Return the files of more lines, which hold two ideas."""
     lengths = {name_of(path): path.read_text().count("\n") for path in paths}

@@ -34,7 +34,9 @@ def ensure_same_config(
         write_atomically(path, json_text(given | {old: given[name] for old, name in renamed.items()}))
         return
     try:
-        stored = {renamed.get(name, name): value for name, value in json.loads(path.read_text()).items()}
+        stored = {
+            renamed.get(name, name): value for name, value in json.loads(path.read_text(encoding="utf-8")).items()
+        }
         stored = {name: value for name, value in (assumed or {}).items() if name in given} | stored
         names = sorted(name for name in {*given, *stored} if given.get(name) != stored.get(name))
     except (ValueError, TypeError, AttributeError) as error:

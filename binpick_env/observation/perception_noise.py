@@ -269,7 +269,7 @@ def _file_of(part: Part, sensor: str) -> Path | None:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        values: dict[str, Any] = json.loads(path.read_text())
+        values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise NoiseError(f"{path} holds no noise model ({error})") from error
     return values

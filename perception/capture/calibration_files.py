@@ -39,7 +39,7 @@ def read_calibration(
 
 
 def _decoded(path: Path, image_id: int | None, size: tuple[int, int] | None) -> Calibration:
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8", errors="replace")
     content = json.loads(text) if path.suffix.lower() == ".json" else parse_yaml(text)
     if not isinstance(content, dict):
         raise ValueError(f"{path.name} must hold named values, got a {type(content).__name__}")

@@ -93,7 +93,7 @@ def _npz_content(path: Path) -> Content:
 
 
 def _json_content(path: Path) -> Content:
-    facts = json.loads(path.read_text())
+    facts = json.loads(path.read_text(encoding="utf-8"))
     if not (isinstance(facts, dict) and {"depth", "grey", "K"} <= set(facts)):
         raise ValueError(
             f"{path.name} must be a frame that write_frame wrote, with depth, grey and K: if it is a calibration, read "

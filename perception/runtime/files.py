@@ -32,7 +32,7 @@ def write_atomically(path: Path, text: str) -> None:
     """Write ``text`` to ``path`` atomically; folders that are missing are created."""
 
     def write(draft: Path) -> None:
-        draft.write_text(text)
+        draft.write_text(text, encoding="utf-8")
 
     replace_atomically(path, write)
 
@@ -43,12 +43,17 @@ def replace_atomically(path: Path, write: Callable[[Path], None]) -> None:
     Args:
         path: File to create or replace; folders that are missing are created.
         write: Writes the file whose path it is given. If it fails, that file is removed and ``path`` stays as it was.
+
+    Raises:
+        OSError: The file cannot be written; the error names ``path``.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         write(draft)
         draft.replace(path)
-    except BaseException:
+    except BaseException as error:
         draft.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno and error.filename in (None, str(draft)):
+            raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk names no file
         raise

@@ -43,7 +43,7 @@ def versions() -> dict[str, str]:
 def machine() -> str:
     """Return the model and the number of cores of the processor, for example "AMD EPYC 7B13, 16 cores"."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:  # not Linux
         lines = []
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

@@ -88,7 +88,7 @@ class RecordFormat:
             RecordError: The file is missing, damaged or of another kind or version, or ``build`` fails.
         """
         with self._reading(path):
-            values = json.loads(path.read_text())
+            values = json.loads(path.read_text(encoding="utf-8"))
             self._check(path, values)
             return build({name: value for name, value in values.items() if name not in ("kind", "version")})
 

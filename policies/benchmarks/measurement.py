@@ -101,7 +101,7 @@ def load_benchmark(path: Path) -> list[Measurement]:
         ValueError: The file is not a benchmark.
     """
     try:
-        rows = json.loads(path.read_text())["rows"]
+        rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
         return [Measurement(name=r["name"], unit=r["unit"], values=tuple(r["values"])) for r in rows]
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is not a benchmark that bench.py saved ({error})") from error

@@ -47,7 +47,7 @@ def _fit(args: Arguments) -> str:
 
     samples = []
     for folder in args.folders:
-        note = json.loads((folder / CONFIG_FILE).read_text())
+        note = json.loads((folder / CONFIG_FILE).read_text(encoding="utf-8"))
         part = load_part(
             note["part"],
             unit=note["unit"],

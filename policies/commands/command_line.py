@@ -1,14 +1,19 @@
 """What every command shares: how its options are read, and which exit code it ends with."""
 
+import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
 from decimal import Decimal, InvalidOperation
+from pathlib import Path
 from typing import Any
 
 import tyro
 
 Errors = tuple[type[Exception], ...]
+_FILES = ("json", "html", "save", "video", "rerun")  # options that name a file to be written
+_FOLDERS = ("out", "overlay")  # options that name a folder to be written into
 
 
 def parse(options: Any, command: str, arguments: Sequence[str] | None) -> Any:
@@ -20,10 +25,34 @@ def parse(options: Any, command: str, arguments: Sequence[str] | None) -> Any:
         arguments: What was typed after the name.
 
     Raises:
-        SystemExit: Help was asked for (code 0), or an option is unknown or unusable (code 2); it is printed.
+        SystemExit: Help was asked for (code 0), or an option is unknown or unusable (code 2), such as a file that
+            cannot be written; it is printed.
     """
     typed = sys.argv[1:] if arguments is None else arguments
-    return tyro.cli(options, args=_as_now(typed), prog=f"binpick {command}")
+    read = tyro.cli(options, args=_as_now(typed), prog=f"binpick {command}")
+    for mistake in _unwritable(read):
+        print(f"error: {mistake}", file=sys.stderr)
+        raise SystemExit(2)
+    return read
+
+
+def _unwritable(options: Any) -> Iterator[str]:
+    """Yield what is wrong with the files and folders that a command is to write, before it works for hours."""
+    for field in fields(options):
+        path = getattr(options, field.name)
+        if not isinstance(path, Path) or field.name not in _FILES + _FOLDERS:
+            continue
+        option = f"--{field.name.replace('_', '-')}"
+        is_folder = field.name in _FOLDERS and path.suffix != ".png"  # --out of a picture is a file
+        there = next(each for each in (path, *path.absolute().parents) if each.exists())
+        if there != path and not there.is_dir():
+            yield f"{option} {path} cannot be written: {there} is a file, and no folder"
+        elif path.is_dir() and not is_folder:
+            yield f"{option} must name a file, got the folder {path}"
+        elif path.is_file() and is_folder:
+            yield f"{option} must name a folder, got the file {path}"
+        elif not os.access(there, os.W_OK):
+            yield f"{option} {path} cannot be written: {there} is read-only"
 
 
 def _as_now(arguments: Sequence[str]) -> list[str]:

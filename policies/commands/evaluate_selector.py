@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from binpick_env.config import Perception
+from binpick_env.jobs.text_tables import counted
 from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import CellArguments, evaluated
 from policies.commands.command_line import exit_code, parse
@@ -94,7 +95,7 @@ def _compare(args: Arguments) -> str:
 
         records = evaluate_selectors(config, job, args.selectors, on_bin)
     best, results = compare_selectors(records, args.seed)
-    title = " · ".join([args.part, *conditions(asdict(config)), f"{args.bins} bins", f"seed {args.seed}"])
+    title = " · ".join([args.part, *conditions(asdict(config)), f"{counted(args.bins, 'bin')}", f"seed {args.seed}"])
     path = args.json or job.out / "selectors.json"
     save_selector_results(path, config, best, results, records)
     return "\n".join([title, selector_table(best, results), f"kept in {path}"])

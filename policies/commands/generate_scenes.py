@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from binpick_env.config import AppearanceChoice, SensorChoice
+from binpick_env.jobs.text_tables import counted
 from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
@@ -80,4 +81,4 @@ def _generate(args: Arguments) -> str:
     if args.json is not None:
         facts = {"out": str(out), "count": count, "seconds": took, "git_commit": git_commit()}
         write_atomically(args.json, json_text(facts))
-    return f"{count} scenes in {out}"
+    return f"{counted(count, 'scene')} in {out}"

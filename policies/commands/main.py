@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from io import TextIOWrapper
 from itertools import groupby
 
 from policies.commands.registry import COMMANDS
@@ -38,6 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: there is no command {name!r}; {hint}`binpick` lists them all", file=sys.stderr)
         return 2
     show_status()
+    if isinstance(sys.stdout, TextIOWrapper):  # tables have characters that not every terminal's encoding has
+        sys.stdout.reconfigure(errors="replace")
     try:
         try:
             return int(import_module(modules[typed]).main(options))

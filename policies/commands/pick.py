@@ -45,7 +45,8 @@ class Arguments(CellArguments):
     html: bool = True  # write report.html (or budget.html) into the folder, with a picture of every pick
     zip: bool = False  # also pack page, pictures, picks.csv and numbers into report.zip in the folder, to mail it
     video: Path | None = None  # film the first bin into this .mp4; slow unless MUJOCO_GL names a GL driver
-    video_limit: float = 60.0  # length of the film in simulated time [s]
+    video_limit: float = 60.0  # length of the film in simulated time [s]; at double speed it takes half of that
+    video_speed: float = 2.0  # simulated seconds shown per second of film
     # record all that the robot sees and does in the first bin into this .rrd, for Rerun's viewer
     rerun: Path | None = None
 
@@ -78,7 +79,13 @@ class Arguments(CellArguments):
         """Return what is made of the bins beside their records."""
         from policies.report.media import BinMedia
 
-        return BinMedia(pictures=self.html, video=self.video, video_limit=self.video_limit, recording=self.rerun)
+        return BinMedia(
+            pictures=self.html,
+            video=self.video,
+            video_limit=self.video_limit,
+            video_speed=self.video_speed,
+            recording=self.rerun,
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -110,7 +117,13 @@ def _pick(args: Arguments) -> str:
     records = {mode: _run(*run) for mode, run in runs.items()}
     if args.budget:
         return conclude_budget(records, runs, job, numbers=args.json, html=args.html, archive=args.zip)
-    return conclude(records[args.perception], config, job, numbers=args.json, html=args.html, archive=args.zip)
+    text = conclude(records[args.perception], config, job, numbers=args.json, html=args.html, archive=args.zip)
+    return text if args.video is None else f"{text}\n{_film_note(args)}"
+
+
+def _film_note(args: Arguments) -> str:
+    longest, speed = args.video_limit / args.video_speed, args.video_speed
+    return f"film      {args.video}, at {speed:g} times the real speed, so of at most {longest:g} s"
 
 
 def _run(config: "EvaluationConfig", job: "Job") -> "list[BinRecord]":

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from binpick_env.jobs.text_tables import counted
 from perception.s3dis.choices import BudgetName, Identity, Population, RowName
 from policies.commands.command_line import exit_code, parse
 
@@ -32,7 +33,7 @@ class Synthesize:
         config = SynthesisConfig(seed=self.seed, density=self.density)
         ensure_same_config(self.out / "synthetic.json", asdict(config), "rooms")
         list(_bar(synthesize_rooms(config, self.rooms, self.out, _processes(self.workers)), self.rooms))
-        return f"{self.rooms} rooms in {self.out}"
+        return f"{counted(self.rooms, 'room')} in {self.out}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,9 @@ class Prepare:
         made = summary(list(bar))
         if self.json is not None:
             write_atomically(self.json, recorded({**made, "seconds": bar.format_dict["elapsed"]}))
-        return "\n".join([*made["remarks"], f"{made['rooms']} rooms of {made['points']} points in {self.out}"])
+        return "\n".join(
+            [*made["remarks"], f"{counted(made['rooms'], 'room')} of {made['points']} points in {self.out}"]
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +141,7 @@ class Evaluate:
         scores = S3disScores.of(list(_bar(judged, len(paths))))
         if self.json is not None:
             write_atomically(self.json, recorded({**asdict(scores), **subject.note(), "rooms": len(paths)}))
-        title = f"{SOURCE}; last row: {len(paths)} rooms of {self.rooms}\n"
+        title = f"{SOURCE}; last row: {counted(len(paths), 'room')} of {self.rooms}\n"
         table = columns(table_rows([(subject.name, scores)]))
         return "\n".join([title, table, f"\nmean AP25 {100 * scores.ap25:.1f}, mean AP {100 * scores.ap:.1f}"])
 

@@ -97,7 +97,7 @@ def _train_ppo(args: Ppo) -> str:
 
         def on_progress(picks: int, rates: dict[str, float]) -> None:
             bar.update(picks - bar.n)
-            bar.set_postfix({name: f"{value:.3f}" for name, value in rates.items()})
+            bar.set_postfix({name: f"{value:.3f}" for name, value in rates.items() if value == value})  # not NaN
 
         path = train_ppo(
             config, args.cells(), args.folder("ppo"), args.picks,

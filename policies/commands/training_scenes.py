@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from tqdm import tqdm
 
 from binpick_env.cell.settle import SettleError
+from binpick_env.jobs.text_tables import counted
 from binpick_env.parts.part import load_part
 from binpick_env.scenes.timed_synthesis import (
     Making,
@@ -140,7 +141,7 @@ def _make(args: "Arguments") -> None:
         ) from error
     besides = f" besides {before} that were there" if before else ""
     made_now = len(_scenes(args)) - before
-    print(f"made {made_now} scenes{besides} in {making.seconds / 60:.1f} min{_rest(args, making)}")
+    print(f"made {counted(made_now, 'scene')}{besides} in {making.seconds / 60:.1f} min{_rest(args, making)}")
 
 
 def _limit(budget: SceneBudget, minutes: float | None) -> str:

@@ -125,7 +125,7 @@ def load_run(folder: Path) -> Run:
         hint = f"; did you mean one of the folders in it: {', '.join(inside)}?" if inside else ""
         raise ComparisonError(f"{folder} is no folder of `binpick pick`: it has no {CONFIG_FILE}{hint}")
     try:
-        stored = json.loads(path.read_text())
+        stored = json.loads(path.read_text(encoding="utf-8"))
         digest, config = stored["hash"], stored["config"]
     except (ValueError, KeyError, TypeError) as error:
         raise ComparisonError(f"{path} is damaged") from error

@@ -119,7 +119,7 @@ def ensure_folder_config(config: EvaluationConfig, out: Path) -> None:
     given = {"hash": config.digest(), "config": asdict(config), "weights": network}
     if path.exists():
         try:
-            stored = json.loads(path.read_text())
+            stored = json.loads(path.read_text(encoding="utf-8"))
             different = _other_network(network, stored.get("weights"))
             if stored["hash"] == given["hash"] and different is None:
                 return

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from binpick_env.jobs.text_tables import WIDTH, fine, number, percent, spread
+from binpick_env.jobs.text_tables import WIDTH, counted, fine, number, percent, spread
 from binpick_env.parts import Part
 from policies.evaluation.conditions import GIVEN, conditions, given_numbers
 from policies.evaluation.records import BinRecord
@@ -19,7 +19,7 @@ def result_table(summary: Summary) -> str:
     """Return the table of an evaluation's numbers."""
     config = summary.config
     facts = conditions(config, summary.weights)
-    title = " · ".join([config["part"], *facts, f"{summary.bins} bins", f"seed {summary.seed}"])
+    title = " · ".join([config["part"], *facts, f"{counted(summary.bins, 'bin')}", f"seed {summary.seed}"])
     lines = [
         title,
         "═" * WIDTH,

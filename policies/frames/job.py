@@ -173,7 +173,7 @@ def _stored(job: FrameJob, path: Path) -> FrameOutcome | None:
     if job.fresh or numbers is None or not all(file.exists() for file in (numbers, *job.pictures(path))):
         return None
     try:
-        content: Any = json.loads(numbers.read_text())
+        content: Any = json.loads(numbers.read_text(encoding="utf-8"))
         (values,) = content["frames"]
         found = sum(pose["verified"] for pose in values["poses"])
         values["part"]["origin_in_file"]  # which older files lack

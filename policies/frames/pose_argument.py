@@ -46,7 +46,7 @@ def _stored_pose(path: Path, name: str) -> object:
     if not path.exists():
         raise FileNotFoundError(f"{name}: there is no file {path}; give a JSON file, or 16 numbers row by row")
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"{name}: {path} is no JSON file: {error}") from error
     if isinstance(content, dict):

@@ -12,7 +12,7 @@ from binpick_env.evaluation.pose.record import PoseRecord
 from binpick_env.evaluation.pose.scene_score import worst_first
 from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.jobs.report_style import bars, inline_figure, page, table, tag, tile
-from binpick_env.jobs.text_tables import number, percent
+from binpick_env.jobs.text_tables import counted, number, percent
 from perception.geometry import Floats, rotation_about
 from perception.part import PartModel
 from perception.pose.model.appearances import edge_appearances
@@ -132,7 +132,8 @@ def _losses(findings: Findings) -> str:
     shares += [(f"lost by {words}", getattr(picked.losses, name), "bad") for name, words in STAGES.items()]
     rows = [(name, max(round(share * picked.parts), 0), kind) for name, share, kind in shares]
     note = (
-        f"All {picked.parts} parts of {picked.bins} bins, picked from pixels, with true segments and with true poses. "
+        f"All {picked.parts} parts of {counted(picked.bins, 'bin')}, picked from pixels, with true segments and with "
+        "true poses. "
         "A stage loses what its ground truth would deliver more; chance can make that negative, which is shown as 0."
     )
     return f"<h2>Where it is lost</h2><p>{note}</p><div class='card'>{bars(rows, picked.parts)}</div>"

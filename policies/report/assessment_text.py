@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from binpick_env.jobs.text_tables import number, percent
+from binpick_env.jobs.text_tables import counted, number, percent
 from policies.assessment.assessment import Assessment
 from policies.assessment.findings import Findings
 from policies.assessment.grip import GripFacts
@@ -90,7 +90,7 @@ def perception_words(seen: PerceptionFacts) -> str:
     """Return how well parts are found on fresh scenes."""
     return (
         f"AP {_share(seen.ap)} ({seen.weights}, {seen.training}), recognition {_share(seen.recognition)}, "
-        f"recall {_share(seen.recall)}, precision {_share(seen.precision)} in {seen.scenes} scenes"
+        f"recall {_share(seen.recall)}, precision {_share(seen.precision)} in {counted(seen.scenes, 'scene')}"
     )
 
 
@@ -99,7 +99,8 @@ def picking_words(picked: PickingFacts) -> str:
     rates: Sequence[str] = [percent(picked.dr[mode]) for mode in reversed(MODES)]
     return (
         f"{rates[0]} of {picked.parts} parts delivered, {rates[1]} with true segments, {rates[2]} with true poses; "
-        f"GSR {percent(picked.gsr['learned'])}, {number(picked.mpph['learned'], 0)} picks per hour, {picked.bins} bins"
+        f"GSR {percent(picked.gsr['learned'])}, {number(picked.mpph['learned'], 0)} picks per hour, "
+        f"{counted(picked.bins, 'bin')}"
     )
 
 

@@ -4,7 +4,7 @@ from html import escape
 from pathlib import Path
 
 from binpick_env.jobs.report_style import page, table
-from binpick_env.jobs.text_tables import columns, number, percent
+from binpick_env.jobs.text_tables import columns, counted, number, percent
 from perception.runtime.files import write_atomically
 from policies.evaluation.budget import COSTS, MODES, Budget, Cost
 from policies.evaluation.conditions import GIVEN, given_numbers
@@ -27,7 +27,7 @@ NOTE = "Differences of the pooled numbers; in brackets 95 % intervals, paired bo
 
 def budget_table(budget: Budget) -> str:
     """Return the budget as plain text, for the terminal."""
-    title = f"{budget.part} · sensor {budget.sensor} · {budget.bins} bins · seed {budget.seed}"
+    title = f"{budget.part} · sensor {budget.sensor} · {counted(budget.bins, 'bin')} · seed {budget.seed}"
     parts = [
         title,
         columns([("", *MODES), *number_rows(budget)]),
@@ -44,7 +44,8 @@ def write_budget_report(path: Path, budget: Budget) -> None:
     rows.append(["picks", *(f"<a href='{mode}/report.html'>report</a>" for mode in MODES)])
     costs = [[escape(cell) for cell in row] for row in cost_rows(budget)]
     body = (
-        f"<h1>Error budget: {part}</h1><p>{budget.bins} bins · sensor {escape(budget.sensor)} · seed {budget.seed}</p>"
+        f"<h1>Error budget: {part}</h1>"
+        f"<p>{counted(budget.bins, 'bin')} · sensor {escape(budget.sensor)} · seed {budget.seed}</p>"
         f"<h2>The same bins three ways</h2><div class='card'>{table(('', *MODES), rows)}</div>"
         f"<h2>What each stage costs</h2><p>{NOTE}</p>"
         f"<div class='card'>{table(('', *cost_names()), costs)}</div>"

@@ -6,7 +6,7 @@ from pathlib import Path
 from textwrap import wrap
 
 from binpick_env.jobs.report_style import page, table
-from binpick_env.jobs.text_tables import WIDTH, columns
+from binpick_env.jobs.text_tables import WIDTH, columns, counted
 from perception.runtime.files import write_atomically
 from policies.evaluation.comparison import BinComparison, Comparison, Difference
 from policies.evaluation.conditions import GIVEN
@@ -52,7 +52,7 @@ def write_comparison_report(path: Path, comparison: Comparison) -> None:
 
 
 def _title(comparison: Comparison) -> str:
-    return f"{Path(comparison.part).name} · {len(comparison.bins)} bins · seed {comparison.seed}"
+    return f"{Path(comparison.part).name} · {counted(len(comparison.bins), 'bin')} · seed {comparison.seed}"
 
 
 def _runs(comparison: Comparison) -> dict[str, str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from policies.evaluation.listeners import BinListener
 from policies.report.pictures import Album
 from policies.report.recording import Recording, check_recording
-from policies.report.video import Film, check_video
+from policies.report.video import SPEED, Film, check_video
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,12 +18,14 @@ class BinMedia:
         pictures: Whether pictures of every bin and decision are written beside the records.
         video: mp4 file that shows the first bin; None for no film.
         video_limit: Largest length of the film in simulated time [s].
+        video_speed: Simulated seconds shown per second of film.
         recording: rrd file for Rerun's viewer that shows the first bin; None for no recording.
     """
 
     pictures: bool = True
     video: Path | None = None
     video_limit: float = 60.0
+    video_speed: float = SPEED
     recording: Path | None = None
 
     def check(self, evaluations: int = 1) -> None:
@@ -43,7 +45,7 @@ class BinMedia:
                 "a budget is three evaluations and films none; leave out --video, or film one without --budget"
             )
         if self.video is not None:
-            check_video(self.video)
+            check_video(self.video, self.video_limit, self.video_speed)
         if self.recording is not None:
             check_recording(self.recording)
 
@@ -57,7 +59,7 @@ class BinMedia:
         if self.pictures:
             made.append(Album(folder, f"bin_{index:04d}"))
         if self.video is not None and index == 0:
-            made.append(Film(self.video, limit=self.video_limit))
+            made.append(Film(self.video, limit=self.video_limit, speed=self.video_speed))
         if self.recording is not None and index == 0:
             made.append(Recording(self.recording))
         return made

@@ -8,7 +8,7 @@ from typing import Any
 
 from binpick_env.config import GRIPPER_STROKE, CellConfig
 from binpick_env.jobs.report_style import bars, figure, page, table, tag, tile
-from binpick_env.jobs.text_tables import fine, number, percent, spread
+from binpick_env.jobs.text_tables import counted, fine, number, percent, spread
 from perception.runtime.files import write_atomically
 from policies.evaluation.conditions import GIVEN, conditions, flat_settings, given_numbers
 from policies.evaluation.records import BinRecord, PickRecord
@@ -57,7 +57,7 @@ def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pic
     gallery = gallery_section(records, source)
     sections = [
         f"<h1>Bin picking: {escape(part)}</h1>",
-        f"<p>{summary.bins} bins of {config['num_parts'][0]} to {config['num_parts'][1]} parts · "
+        f"<p>{counted(summary.bins, 'bin')} of {config['num_parts'][0]} to {config['num_parts'][1]} parts · "
         f"perception {' · '.join(conditions(config))} · frames by {summary.camera_backend} · "
         f"seed {summary.seed}</p>",
         _headline(summary),
@@ -116,7 +116,7 @@ def _perception(summary: Summary) -> str:
         tile("pose errors · medians", GIVEN if given else error, f"{given} · {error}" if given else "at the centre"),
     ]
     stages = ", ".join(f"{name} {ms:.0f}" for name, ms in summary.perception_ms.items())
-    note = f"{summary.frames} frames that decisions were made on" + (
+    note = f"{counted(summary.frames, 'frame')} that decisions were made on" + (
         f"; a frame's medians [ms]: {stages}" if stages else ""
     )
     return f"<h2>Perception in the same bins</h2><p>{note}.</p><div class='grid tiles'>{''.join(tiles)}</div>"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from binpick_env.jobs.text_tables import columns
+from binpick_env.jobs.text_tables import columns, counted
 from perception.geometry import Floats
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, versions
@@ -156,7 +156,8 @@ def selector_table(best: str, results: dict[str, SelectorResult]) -> str:
         reached = ["" if (share := results[name].reached) is None else f"{100 * share:.0f} %" for name in order]
         rows = [(*row, cell) for row, cell in zip(rows, ["of the bound", *reached], strict=True)]
     bins = results[best].bins
-    text = f"{columns(rows)}\n{bins} bins; gaps in points to {best}, paired bootstrap over bins, 95 %; n attempts"
+    meaning = f"gaps in points to {best}, paired bootstrap over bins, 95 %; n attempts"
+    text = f"{columns(rows)}\n{counted(bins, 'bin')}; {meaning}"
     if bound is None:
         return text
     return f"{text}\nof the bound: share of the DR that hindsight gains over {best}\n{bound.tally}"

@@ -110,7 +110,7 @@ class ObservedBin:
             ValueError: The file is damaged.
         """
         try:
-            values = json.loads(path.read_text())
+            values = json.loads(path.read_text(encoding="utf-8"))
             frame = None if values["frame"] is None else FrameObservation.from_plain(values["frame"])
             return cls(**{**values, "signature": tuple(values["signature"]), "frame": frame})
         except (ValueError, KeyError, TypeError) as error:

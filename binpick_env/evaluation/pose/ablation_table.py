@@ -8,7 +8,7 @@ import numpy as np
 from binpick_env.evaluation.pose.ablation import METRICS, PoseAblation, PoseRowResult
 from binpick_env.evaluation.pose.table import milliseconds
 from binpick_env.evaluation.segmentation.table import bounds, share
-from binpick_env.jobs.text_tables import columns
+from binpick_env.jobs.text_tables import columns, counted
 
 _WIDE = 112  # width of the table [characters]
 _NOTE = (
@@ -23,7 +23,7 @@ def pose_ablation_table(table: PoseAblation) -> str:
     """Return the table that an ablation prints."""
     threads = " or ".join(map(str, table.threads))
     title = (
-        f"{table.part} · sensor {table.sensor} · {table.scenes} scenes · seed {table.seed} · "
+        f"{table.part} · sensor {table.sensor} · {counted(table.scenes, 'scene')} · seed {table.seed} · "
         f"{table.rows[0].trials} trials · threads: {threads}"
     )
     lines = [title, "═" * _WIDE, columns(_rows(table.rows)), "─" * _WIDE, columns(_differences(table.rows))]

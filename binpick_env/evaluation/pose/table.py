@@ -8,7 +8,7 @@ import numpy as np
 from binpick_env.evaluation.pose.summary import PAPER, PoseSummary
 from binpick_env.evaluation.segmentation.summary import weights_name
 from binpick_env.evaluation.segmentation.table import bounds, share
-from binpick_env.jobs.text_tables import WIDTH, columns, number, percent
+from binpick_env.jobs.text_tables import WIDTH, columns, counted, number, percent
 from perception.runtime.provenance import git_commit
 
 SEGMENTS = {
@@ -40,7 +40,8 @@ def table_three(summary: PoseSummary) -> str:
         rows.append((name, share(value) if k == 0 else milliseconds(value), *papers))
     searched = "the whole scene" if summary.perception == "whole_scene" else "the three groups nearest to a part"
     what = (
-        f"{summary.trials} trials in {summary.scenes} scenes of seed {summary.seed}, sensor {summary.sensor}, "
+        f"{summary.trials} trials in {counted(summary.scenes, 'scene')} of seed {summary.seed}, "
+        f"sensor {summary.sensor}, "
         f"{SEGMENTS[summary.perception]}; 95 % interval of the rate: {bounds(summary.intervals['recognition_rate'])} "
         f"(Wilson). Times are medians on {_threads(summary)}; segmentation is from frame to labelled points. PPF-MEAM "
         f"has searched {searched}; in the paper, 3 to 5 groups. {summary.note}"
@@ -60,7 +61,7 @@ def _table_three_values(summary: PoseSummary) -> tuple[float, ...]:
 
 def facts_line(summary: PoseSummary) -> str:
     """Return part, segments, sensor, number of scenes and seed in one line."""
-    facts = (summary.part, perception_name(summary), f"sensor {summary.sensor}", f"{summary.scenes} scenes")
+    facts = (summary.part, perception_name(summary), f"sensor {summary.sensor}", f"{counted(summary.scenes, 'scene')}")
     return " · ".join([*facts, f"seed {summary.seed}"])
 
 

@@ -149,7 +149,7 @@ class AblationConfig:
 def _seed_of(folder: Path, scenes: SceneConfig) -> int | None:
     """Return the seed of a folder of scenes of the part of ``scenes``; None if it is unknown or of another part."""
     try:
-        stored = json.loads((folder / SCENES_NOTE).read_text())
+        stored = json.loads((folder / SCENES_NOTE).read_text(encoding="utf-8"))
         return int(stored["seed"]) if is_of_part(stored, scenes) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
@@ -258,7 +258,7 @@ class _AblationRun:
         digest = method.digest()
         if path.exists():
             with suppress(ValueError, KeyError, TypeError):  # a damaged file is replaced
-                stored = json.loads(path.read_text())
+                stored = json.loads(path.read_text(encoding="utf-8"))
                 if stored["weights"] == digest:
                     return method.with_grouping_distance(stored["chosen"]), stored["tried"]
         distances = RADII if method.kind == "euclidean" else THRESHOLDS

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from binpick_env.evaluation.segmentation.ablation_summary import AblationTable, RowResult
 from binpick_env.evaluation.segmentation.table import bounds, share
-from binpick_env.jobs.text_tables import columns
+from binpick_env.jobs.text_tables import columns, counted
 
 _WIDE = 100  # width of the table [characters]
 
@@ -14,7 +14,7 @@ def segmentation_ablation_table(table: AblationTable) -> str:
     """Return the table that an ablation prints."""
     config = table.config
     title = (
-        f"{config['part']} · sensor {config['sensor']} · {table.scenes} scenes · seed {config['seed']} · "
+        f"{config['part']} · sensor {config['sensor']} · {counted(table.scenes, 'scene')} · seed {config['seed']} · "
         f"{table.trainings} trainings of {config['steps']} steps"
     )
     lines = [title, "═" * _WIDE, columns(_rows(table.rows)), "─" * _WIDE, columns(_gains(table.rows)), "─" * _WIDE]

@@ -11,7 +11,7 @@ from binpick_env.evaluation.segmentation.record import SceneRecord, record_path
 from binpick_env.evaluation.segmentation.summary import SceneScore, SegmentationSummary
 from binpick_env.evaluation.segmentation.table import METRICS, band_rows, bounds, method_name, share
 from binpick_env.jobs.report_style import curves, inline_figure, page, table, tile
-from binpick_env.jobs.text_tables import number, percent
+from binpick_env.jobs.text_tables import counted, number, percent
 from perception.metrics.average_precision import precision_recall
 from perception.runtime.files import write_atomically
 
@@ -39,7 +39,9 @@ def write_report(
         RecordError: The record of a shown scene is missing or damaged.
     """
     part = Path(summary.part).name
-    facts = f"{summary.scenes} scenes · {method_name(summary)} · sensor {summary.sensor} · seed {summary.seed}"
+    facts = (
+        f"{counted(summary.scenes, 'scene')} · {method_name(summary)} · sensor {summary.sensor} · seed {summary.seed}"
+    )
     sections = [
         f"<h1>Segmentation: {escape(part)}</h1><p>{escape(facts)}</p><p>{escape(summary.note)}</p>",
         _headline(summary),

@@ -5,7 +5,7 @@ import textwrap
 import numpy as np
 
 from binpick_env.evaluation.segmentation.summary import SegmentationSummary, weights_name
-from binpick_env.jobs.text_tables import WIDTH, columns, number, percent
+from binpick_env.jobs.text_tables import WIDTH, columns, counted, number, percent
 from perception.runtime.provenance import git_commit
 
 METRICS = ("ap", "ap50", "ap75", "ap25")
@@ -14,7 +14,7 @@ METRICS = ("ap", "ap50", "ap75", "ap25")
 def segmentation_table(summary: SegmentationSummary) -> str:
     """Return the table that an evaluation prints."""
     rule = "─" * WIDTH
-    facts = (summary.part, method_name(summary), f"sensor {summary.sensor}", f"{summary.scenes} scenes")
+    facts = (summary.part, method_name(summary), f"sensor {summary.sensor}", f"{counted(summary.scenes, 'scene')}")
     lines = [" · ".join([*facts, f"seed {summary.seed}"]), "═" * WIDTH, *_headline(summary), rule]
     lines += [columns(band_rows(summary)), rule, *_facts(summary), rule, *textwrap.wrap(f"NOTE  {summary.note}", WIDTH)]
     if summary.git_commits != [git_commit()]:

@@ -124,7 +124,7 @@ def _write_room(config: SynthesisConfig, out: Path, index: int) -> str:
     try:
         (draft / MEMBERS).mkdir(parents=True)
         for item in make_room(config, index):
-            (draft / MEMBERS / f"{item.name}.txt").write_text(_text(item))
+            (draft / MEMBERS / f"{item.name}.txt").write_text(_text(item), encoding="utf-8")
         draft.rename(folder)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)

@@ -179,7 +179,7 @@ def scene_sources(paths: Sequence[Path]) -> list[dict[str, Any]]:
     sources: list[dict[str, Any]] = []
     for folder in dict.fromkeys(path.parent for path in paths):
         try:
-            note = json.loads((folder / SCENES_NOTE).read_text())
+            note = json.loads((folder / SCENES_NOTE).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             note = {}  # scenes that generate_scenes did not make
         known = {name: note.get(name) for name in ("part", "file", "seed", "sensor", "num_parts", "jitter")}

@@ -169,7 +169,7 @@ def training_record(trainer: Trainer, config: RunConfig, last: Log) -> Log:
 def read_log(path: Path) -> list[Log]:
     """Return the lines of a log, the last one of each step, in order; lines that were cut off are left out."""
     lines: dict[int, Log] = {}
-    for text in path.read_text().splitlines() if path.exists() else ():
+    for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
         try:
             line = json.loads(text)
         except ValueError:
@@ -220,7 +220,7 @@ def _log_line(
     elif validation:
         line["validation"] = validate(trainer.best_network(), validation, trainer.config.pairs.distance)
     config.out.mkdir(parents=True, exist_ok=True)
-    with (config.out / LOG).open("a") as file:
+    with (config.out / LOG).open("a", encoding="utf-8") as file:
         file.write(json.dumps(json.loads(json_text(line))) + "\n")
     if on_evaluation is not None:
         on_evaluation(line)

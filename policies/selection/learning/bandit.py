@@ -78,8 +78,13 @@ class Epoch:
 
     def __str__(self) -> str:
         """Describe the fit on the held-out bins."""
+        if np.isnan(self.held_out):
+            return "too few attempts to judge; log more bins"
         fit = f"cross-entropy {self.held_out:.3f} (to beat: {self.base:.3f})"
-        return f"{fit}, AUC {self.auc:.3f} (within states {self.within:.3f})"
+        if np.isnan(self.auc):
+            return f"{fit}; too few attempts for an AUC, which needs a delivered and a failed one"
+        within = "unknown: too few attempts" if np.isnan(self.within) else f"{self.within:.3f}"
+        return f"{fit}, AUC {self.auc:.3f} (within states {within})"
 
 
 def fit_bandit(

@@ -156,7 +156,7 @@ class AttemptLog:
         """
         path = self.folder / CONFIG
         if path.exists():
-            noted = json.loads(path.read_text())
+            noted = json.loads(path.read_text(encoding="utf-8"))
             if {**noted, "cells": Cells.upgraded(noted["cells"])} != self.plain():
                 raise ExperienceError(f"{self.folder} holds attempts in other bins; choose another folder with --out")
         write_atomically(path, json_text(self.plain()))

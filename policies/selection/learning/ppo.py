@@ -215,7 +215,7 @@ def _stretches(config: PpoConfig, cells: Cells, out: Path) -> list[dict[str, Any
     """
     path, stretches = out / CONFIG, []
     if path.exists():
-        noted = json.loads(path.read_text())
+        noted = json.loads(path.read_text(encoding="utf-8"))
         if _resumable(_requested(noted)) != _resumable(config.record()):
             raise TrainingError(f"{out} holds a training of another configuration; choose another folder with --out")
         stretches = [Cells.upgraded(values) for values in noted["cells"]]

@@ -1,5 +1,6 @@
 """A file is whole or absent, whatever happens while it is written."""
 
+import errno
 import json
 from pathlib import Path
 
@@ -41,6 +42,21 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path, error: BaseExcep
         replace_atomically(path, half)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("filename", [None, "draft"])
+def test_an_error_of_the_disk_names_the_file(tmp_path: Path, filename: str | None) -> None:
+    def write(draft: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", filename and str(draft))
+
+    with pytest.raises(OSError, match=r"No space left on device: '.*/numbers\.json'$") as raised:
+        replace_atomically(tmp_path / "numbers.json", write)
+    assert raised.value.errno == errno.ENOSPC
+
+
+def test_text_is_utf_8_whatever_the_locale(tmp_path: Path) -> None:
+    write_atomically(tmp_path / "page.html", "Gehäuse · ═")
+    assert (tmp_path / "page.html").read_bytes() == "Gehäuse · ═".encode()
 
 
 def test_a_writer_that_writes_nothing_is_an_error(tmp_path: Path) -> None:

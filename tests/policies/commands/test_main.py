@@ -1,15 +1,19 @@
 """`binpick`: the list of commands, their help, and what it may load."""
 
+import importlib
 import json
 import logging
+import re
 import subprocess
 import sys
+from dataclasses import fields
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
-from policies.commands import calibrate_poses
+from policies.commands import calibrate_poses, command_line
 from policies.commands import main as entry
 from policies.commands.command_line import exit_code
 from policies.commands.main import main
@@ -153,6 +157,68 @@ def test_every_script_is_a_command() -> None:
     status, error = done.stderr.splitlines()
     assert status.startswith("loading the simulator")
     assert error.startswith("error: bins and workers must be at least 1, got 0 and 1")
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--json", "."], r"--json must name a file, got the folder \."),
+        (["--json", "a.txt/b/c.json"], r"--json a\.txt/b/c\.json cannot be written: .*a\.txt is a file, and no folder"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_said_before_the_work(
+    options: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.txt").write_text("a file")
+    with pytest.raises(SystemExit) as stop:
+        main(["compare", "one", "two", *options])
+    assert stop.value.code == 2
+    assert re.search(text, capsys.readouterr().err)
+
+
+def test_a_folder_that_cannot_be_written_is_said_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command_line.os, "access", lambda path, mode: False)
+    with pytest.raises(SystemExit):
+        main(["generate-scenes", "--out", str(tmp_path / "new")])
+    assert capsys.readouterr().err == f"error: --out {tmp_path}/new cannot be written: {tmp_path} is read-only\n"
+    (tmp_path / "scenes").write_text("a file")
+    with pytest.raises(SystemExit):
+        main(["generate-scenes", "--out", str(tmp_path / "scenes")])
+    assert "--out must name a folder, got the file" in capsys.readouterr().err
+
+
+def test_every_output_of_a_command_is_checked_before_its_work() -> None:
+    """Options of another name that are written need a check of their own."""
+    for command in COMMANDS:
+        module = importlib.import_module(command.module)
+        kinds = get_args(module.Arguments) or (module.Arguments,)
+        names = {field.name for kind in kinds for field in fields(kind) if "Path" in str(field.type)}
+        read = {
+            "weights",
+            "initial",
+            "scenes",
+            "validation",
+            "folders",
+            "runs",
+            "frames",
+            "rooms",
+            "raw",
+            "calibration",
+        }
+        read |= {"compare", "opencv_python", "open3d_python", "logs"}
+        assert names - read <= set(command_line._FILES + command_line._FOLDERS), command.name
+
+
+def test_a_terminal_without_utf_8_gets_every_line(tmp_path: Path) -> None:
+    code = (
+        "import sys; from policies.commands import compare; from policies.commands.main import main; "
+        "compare.main = lambda options: print('GSR ═ 97 %') or 0; sys.exit(main(['compare']))"
+    )
+    done = start([sys.executable, "-c", code], ROOT, PYTHONIOENCODING="ascii", LC_ALL="C")
+    assert (done.returncode, done.stdout) == (0, "GSR ? 97 %\n")
 
 
 def test_expected_errors_are_one_line_and_others_are_raised(capsys: pytest.CaptureFixture[str]) -> None:

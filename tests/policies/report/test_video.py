@@ -52,6 +52,14 @@ def test_a_film_ends_at_its_limit(tmp_path: Path) -> None:
         assert shoot(film, 100).shots == 3  # steps 0, 4 and 8 of ten
 
 
+def test_the_speed_of_a_film_is_its_rate_of_pictures(tmp_path: Path) -> None:
+    with Film(tmp_path / "film.mp4", speed=1.0) as film:
+        shoot(film, 2 * EVERY)
+    reader = cv2.VideoCapture(str(tmp_path / "film.mp4"))
+    assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(1 / (EVERY * CONTROL_PERIOD))
+    reader.release()
+
+
 def test_a_crash_leaves_no_half_film(tmp_path: Path) -> None:
     film = Film(tmp_path / "film.mp4")
     shoot(film, EVERY)
@@ -64,6 +72,11 @@ def test_what_cannot_be_filmed_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
         check_video(Path("film.avi"))
     with pytest.raises(ValueError, match=r"must end in \.mp4"):
         Film(tmp_path / "film.avi")
+
+    with pytest.raises(ValueError, match=r"speed must be from 0\.25 to 20 times the real one, got 0"):
+        check_video(Path("film.mp4"), speed=0.0)
+    with pytest.raises(ValueError, match=r"limit must be positive, got -1 s of simulated time"):
+        check_video(Path("film.mp4"), limit=-1.0)
 
     def missing(name: str) -> None:
         raise ImportError(name)

@@ -132,6 +132,24 @@ def test_an_epoch_says_how_well_it_does() -> None:
     assert text == "cross-entropy 0.400 (to beat: 0.600), AUC 0.750 (within states 0.650)"
 
 
+@pytest.mark.parametrize(
+    ("unknown", "text"),
+    [
+        (("held_out", "auc", "within"), "too few attempts to judge; log more bins"),
+        (
+            ("auc", "within"),
+            "(to beat: 0.600); too few attempts for an AUC, which needs a delivered and a failed one",
+        ),
+        (("within",), "AUC 0.750 (within states unknown: too few attempts)"),
+    ],
+)
+def test_too_few_attempts_are_said_and_no_nan(unknown: tuple[str, ...], text: str) -> None:
+    known = {"held_out": 0.4, "base": 0.6, "auc": 0.75, "within": 0.65}
+    said = str(Epoch(epoch=3, loss=0.5, **known | dict.fromkeys(unknown, np.nan)))
+    assert said.endswith(text)
+    assert "nan" not in said
+
+
 @pytest.mark.slow
 def test_both_train_in_the_cell(tmp_path: Path) -> None:
     cells = Cells(min_parts=1, max_parts=2, fast=True, width=640, height=480)
