@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+import trimesh
 
 from binpick_env.config import GRIPPER_STROKE, BinConfig, CellConfig
 from binpick_env.jobs.text_tables import counted
@@ -13,7 +14,9 @@ from binpick_env.parts.part import Part
 
 log = logging.getLogger(__name__)
 FILLING = 0.4  # largest volume of the parts' hulls in a full bin, as a share of the bin's: see `bin_capacity`
-HEAPED = 1.0  # the same of a heap up to twice the bin's height, half of which is air: more parts lie in no bin
+# What a heap up to twice the bin's height holds at most, as shares of the bin's volume: half of it is air between the
+# hulls, unless parts lie in each other's hollows, when their own volume is what limits it.
+HEAPED_HULLS, HEAPED_VOLUME = 1.0, 0.6
 _POSE_ERROR = 0.005  # room for the pose's error on each side of a grasped part [m]
 
 
@@ -47,7 +50,10 @@ def require_room(part: Part, config: BinConfig, count: int) -> None:
     Raises:
         ValueError: There is no room for ``count`` parts; the message says for how many there is.
     """
-    most = _hulls_in(part, config.inner_size, HEAPED)
+    most = max(
+        _number_in(part.model.mesh.convex_hull, config.inner_size, HEAPED_HULLS),
+        _number_in(part.model.mesh, config.inner_size, HEAPED_VOLUME),
+    )
     if count > most:
         length, width, height = (f"{1000 * side:g}" for side in config.inner_size)
         full = bin_capacity(part, config.inner_size)
@@ -65,12 +71,12 @@ def bin_capacity(part: Part, inner_size: Sequence[float]) -> int:
         part: Part that the bin is filled with.
         inner_size: Length, width and height inside the bin [m].
     """
-    return _hulls_in(part, inner_size, FILLING)
+    return _number_in(part.model.mesh.convex_hull, inner_size, FILLING)
 
 
-def _hulls_in(part: Part, inner_size: Sequence[float], share: float) -> int:
-    """Return how many hulls of a part take a share of a bin's volume, at least 1."""
-    return max(1, int(share * np.prod(inner_size) / part.model.mesh.convex_hull.volume))
+def _number_in(mesh: trimesh.Trimesh, inner_size: Sequence[float], share: float) -> int:
+    """Return how many solids take a share of a bin's volume, at least 1."""
+    return max(1, int(share * np.prod(inner_size) / mesh.volume))
 
 
 def largest_d_max(config: BinConfig) -> float:

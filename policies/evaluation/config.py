@@ -117,11 +117,11 @@ class EvaluationConfig:
             FileNotFoundError: The part's file does not exist.
         """
         part = self.options().load_part()
-        require_room(part, self.cell().bin, self.num_parts[1])
         from policies.grasping.grasps import sample_grasps, why_no_grasp  # here, since it loads the kernels
 
         if len(sample_grasps(part.model, jaw=self.jaw)) == 0:
             raise ValueError(why_no_grasp(part.model, jaw=self.jaw))
+        require_room(part, self.cell().bin, self.num_parts[1])
         make_perceiver(self.perception, part.model, self.cell().bin.workspace(), self.pose_noise)
         return part
 

@@ -70,9 +70,12 @@ def test_a_bin_holds_parts_whose_hulls_take_two_fifths_of_it() -> None:
     assert bin_capacity(tee, (0.01, 0.01, 0.01)) == 1
 
 
-def test_parts_whose_hulls_fill_the_bin_are_the_most_that_can_be_heaped_on_it() -> None:
-    tee = load_part("tee")
-    bin_of_ten = BinConfig(inner_size=(1.0, 1.0, 10.4 * tee.model.mesh.convex_hull.volume))
-    require_room(tee, bin_of_ten, 10)
-    with pytest.raises(ValueError, match=r"11 parts .* full with 4, and no more than 10 can be heaped on it"):
-        require_room(tee, bin_of_ten, 11)
+@pytest.mark.parametrize(("name", "most"), [("generated:hex_bolt:0", 10), ("tee", 16)])
+def test_hulls_or_the_parts_own_volume_limit_what_can_be_heaped_on_a_bin(name: str, most: int) -> None:
+    part = load_part(name)
+    solid, hull = (mesh.volume for mesh in (part.model.mesh, part.model.mesh.convex_hull))
+    bin_of_ten = BinConfig(inner_size=(1.0, 1.0, 10.4 * hull))
+    assert most == max(10, int(0.6 * 10.4 * hull / solid))
+    require_room(part, bin_of_ten, most)
+    with pytest.raises(ValueError, match=rf"{most + 1} parts .* full with 4, and no more than {most} can be heaped"):
+        require_room(part, bin_of_ten, most + 1)

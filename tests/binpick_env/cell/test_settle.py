@@ -123,8 +123,8 @@ def test_too_many_parts_in_a_tiny_bin_are_an_error(
 
 
 def test_a_heap_that_cannot_lie_in_the_bin_is_refused_before_it_is_dropped() -> None:
-    tiny = replace(CellConfig(), bin=BinConfig(inner_size=(0.05, 0.05, 0.02)))
-    with pytest.raises(ValueError, match=r"4 parts of d_max 92 mm do not fit into a bin of 50 x 50 x 20 mm"):
+    tiny = replace(CellConfig(), bin=BinConfig(inner_size=(0.05, 0.05, 0.01)))
+    with pytest.raises(ValueError, match=r"4 parts of d_max 92 mm do not fit into a bin of 50 x 50 x 10 mm"):
         drop(small_simulation(4, tiny), seed=0, count=4)
 
 

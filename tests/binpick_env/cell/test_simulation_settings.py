@@ -58,7 +58,8 @@ def contact_of(name: str) -> Callable[[Simulation], object]:
 
     def read(simulation: Simulation) -> tuple[float, ...]:
         model = simulation.model
-        boxes = [model.geom(g).id for g in range(model.ngeom) if model.geom(g).name.startswith(("bin/", "tray/"))]
+        boxes = [g for g in range(model.ngeom) if model.geom(g).name.startswith(("bin/", "tray/"))]
+        boxes = [g for g in boxes if model.geom_contype[g]]  # the tray's floor is one to see and one to touch
         pieces = [g for g in range(model.ngeom) if "/piece_" in model.geom(g).name]
         assert len(boxes) == 10
         assert len(pieces) == len(simulation.part.pieces) * simulation.capacity
