@@ -1,5 +1,6 @@
 """``binpick train-segmentation``: a network is trained on labelled scenes, evaluated meanwhile, and installed."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -110,10 +111,23 @@ class Arguments:
         from perception.segmentation.training.dataset import split_scenes
         from policies.commands.training_scenes import scenes_made
 
-        folders = self.scenes or tuple(default_scenes(part) for part in self.part)
+        folders = self.scenes or tuple(self._scenes_of(part) for part in self.part)
         training, validation = split_scenes(folders, self.validation, self.held_out)
         made = scenes_made(self)
         return [path for path in training if not made or path.name in made], validation
+
+    def _scenes_of(self, part: str) -> Path:
+        """Return the folder of a part's scenes where none is given.
+
+        Raises:
+            FileNotFoundError: It holds none; the message is the command that makes them.
+        """
+        folder = default_scenes(part)
+        if not any(folder.glob("scene_*.npz")):
+            unit = ["--unit", self.unit] if self.unit is not None and Path(part).suffix else []
+            command = shlex.join(["binpick", "generate-scenes", "--part", part, *unit, "--out", str(folder)])
+            raise FileNotFoundError(f"{folder} holds no scene_*.npz; make them with: {command}")
+        return folder
 
     def length(self, config: "TrainingConfig", scenes: int, world: int = 1, scene_minutes: float = 0.0) -> "Length":
         """Return how long to train: the paper's 200 epochs for its presets where nothing is said.

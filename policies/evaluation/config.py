@@ -3,6 +3,7 @@
 import hashlib
 import json
 import logging
+import shlex
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -16,6 +17,7 @@ from binpick_env.options import CellOptions
 from binpick_env.part_limits import require_room
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
+from perception.runtime.records import RecordError
 from policies.picking.settings import PickerSettings
 
 _log = logging.getLogger(__name__)
@@ -122,8 +124,17 @@ class EvaluationConfig:
         if len(sample_grasps(part.model, jaw=self.jaw)) == 0:
             raise ValueError(why_no_grasp(part.model, jaw=self.jaw))
         require_room(part, self.cell().bin, self.num_parts[1])
-        make_perceiver(self.perception, part.model, self.cell().bin.workspace(), self.pose_noise)
+        try:
+            make_perceiver(self.perception, part.model, self.cell().bin.workspace(), self.pose_noise)
+        except RecordError as error:  # a WeightsError, without loading torch for its name
+            raise type(error)(f"{error}; weights of this part alone: {self._training()}") from error
         return part
+
+    def _training(self) -> str:
+        """Return the command that trains a network for the part alone."""
+        unit = [] if self.unit is None else ["--unit", self.unit]
+        words = ["binpick", "train-segmentation", "--part", self.part, *unit, "--initial", "none", "--minutes", "60"]
+        return shlex.join(words)
 
 
 def bin_seed(seed: int, index: int) -> int:

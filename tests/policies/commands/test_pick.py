@@ -1,5 +1,6 @@
 import json
 import logging
+import shlex
 from functools import partial
 from pathlib import Path
 
@@ -8,7 +9,8 @@ import trimesh
 
 from binpick_env.observation import pixel_perceiver
 from perception.segmentation import weights
-from policies.commands import pick
+from policies.commands import pick, train_segmentation
+from policies.commands.command_line import parse
 from policies.evaluation import jobs
 from policies.evaluation.bin_evaluation import BinError
 from policies.evaluation.config import EvaluationConfig
@@ -168,10 +170,16 @@ def test_a_part_without_weights_gets_the_commands_that_make_them_and_the_other_m
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(weights, "SHIPPED", tmp_path / "nothing")  # the shipped network serves every part
     trimesh.creation.box((60, 40, 30)).export(tmp_path / "block.stl")
-    arguments = ["--part", str(tmp_path / "block.stl"), "--perception", "learned", "--out", str(tmp_path / "out")]
+    block = tmp_path / "a folder" / "block.stl"
+    block.parent.mkdir()
+    (tmp_path / "block.stl").rename(block)
+    arguments = ["--part", str(block), "--unit", "mm", "--perception", "learned", "--out", str(tmp_path / "out")]
     assert pick.main(arguments) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ")
     for told in ("binpick generate-scenes", "binpick train-segmentation", "'gt_masks'", "'oracle'"):
         assert told in line
+    command = shlex.split(line.split("weights of this part alone: ")[1])
+    assert command[:6] == ["binpick", "train-segmentation", "--part", str(block), "--unit", "mm"]
+    assert parse(train_segmentation.Arguments, "train-segmentation", command[2:]).part == (str(block),)
     assert not (tmp_path / "out").exists()

@@ -1,6 +1,7 @@
 """`binpick train-segmentation` from scenes to installed weights, alone and in two processes."""
 
 import json
+import shlex
 import shutil
 import sys
 from collections.abc import Iterator
@@ -26,8 +27,9 @@ from perception.segmentation.training.loop import Length
 from perception.segmentation.training.presets import PRESETS, fine_tuning
 from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS, read_log
 from perception.segmentation.weights import SHIPPED, FoundWeights, find_weights, load_network, load_record
+from policies.commands import generate_scenes, training_scenes
 from policies.commands import train_segmentation as train
-from policies.commands import training_scenes
+from policies.commands.command_line import parse
 from policies.commands.train_segmentation import PLOT
 from policies.commands.training_scenes import scene_budget, scenes_of_training
 from tests.perception.disc_scene import disc_scene
@@ -233,6 +235,17 @@ def test_random_weights_get_scenes_too(drawn_scenes: list[int], judged: list[flo
     judged += [0.6]
     assert call("--part", "part_a", "--steps", "1", "--count", "4", "--initial", "none") == 0
     assert drawn_scenes == [4]
+
+
+def test_missing_scenes_of_several_parts_are_told_by_the_command_that_makes_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(tmp_path / "a folder" / "screw.stl")
+    assert call("--part", "tee", path, "--unit", "mm", "--steps", "1") == 2
+    words = shlex.split(capsys.readouterr().err.split("make them with: ")[1])
+    assert words[:2] == ["binpick", "generate-scenes"]
+    made = parse(generate_scenes.Arguments, "generate-scenes", words[2:])
+    assert (made.part, made.unit, made.out) == (path, "mm", Path("runs") / f"scenes-{part_label(path)}-0")
 
 
 def test_missing_weights_are_named_before_scenes_are_made(
