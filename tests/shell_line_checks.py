@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from binpick_env.jobs.text_tables import counted
 from binpick_env.observation import GeneralNoise
 from binpick_env.parts import load_part
 from perception.s3dis.presets import ROWS
@@ -133,7 +134,7 @@ def check_compare(line: Line) -> None:
 
 
 def check_generate_scenes(line: Line) -> None:
-    assert line.shown.splitlines()[-1] == f"{line.args.count} scenes in {line.args.folder()}"
+    assert line.shown.splitlines()[-1] == f"{counted(line.args.count, 'scene')} in {line.args.folder()}"
     scenes = [BoundaryScene.load(path) for path in sorted(line.out.glob("scene_*.npz"))]
     assert len(scenes) == line.args.count
     for scene in scenes:
@@ -205,7 +206,7 @@ def check_fit_noise(line: Line) -> None:
 
 
 def check_synthesize(line: Line) -> None:
-    assert f"{line.args.rooms} rooms in {line.args.out}" in line.shown
+    assert f"{counted(line.args.rooms, 'room')} in {line.args.out}" in line.shown
     rooms = list((line.folder / line.args.out).glob("Area_*/*/Annotations"))
     assert len(rooms) == line.args.rooms
     assert all(list(room.glob("wall_*.txt")) for room in rooms)
@@ -214,7 +215,7 @@ def check_synthesize(line: Line) -> None:
 def check_prepare(line: Line) -> None:
     found = list((line.folder / line.args.out).rglob("*.npz"))
     assert len(found) == len(list((line.folder / line.args.raw).glob("Area_*/*/Annotations")))
-    assert f"{len(found)} rooms of " in line.shown
+    assert f"{counted(len(found), 'room')} of " in line.shown
 
 
 def check_train_row(line: Line) -> None:

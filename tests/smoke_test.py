@@ -39,7 +39,7 @@ def check_command(where: Path) -> None:
     assert {"pick", "generate-scenes", "train-segmentation", "evaluate-pose", "bench"} <= set(commands), commands
     assert binpick("--version") == f"binpick {version('binpick')}\n"
     small = ("--min-parts", "1", "--max-parts", "1", "--width", "320", "--height", "240")
-    assert binpick("generate-scenes", "--count", "1", *small) == "1 scenes in runs/scenes-tee-0\n"
+    assert binpick("generate-scenes", "--count", "1", *small) == "1 scene in runs/scenes-tee-0\n"
     assert Path("runs/scenes-tee-0/scene_00000.npz").exists()
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import tyro
 
 Errors = tuple[type[Exception], ...]
-_FILES = ("json", "html", "save", "video", "rerun")  # options that name a file to be written
+_FILES = ("json", "html", "save", "video", "rerun", "bop")  # options that name a file to be written
 _FOLDERS = ("out", "overlay")  # options that name a folder to be written into
 
 

@@ -28,7 +28,7 @@ def test_it_judges_resumes_and_refuses_another_method(tmp_path: Path) -> None:
     common = [*SMALL, "--part", "bracket", "--perception", "gt_masks", "--out", str(out)]
     done = run("evaluate-pose", "--count", "1", "--html", "--table3", "--workers", "1", *common, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "bracket · true segments · sensor none · 1 scenes · seed 31" in done.stdout
+    assert "bracket · true segments · sensor none · 1 scene · seed 31" in done.stdout
     assert "paper, Part A" in done.stdout
     assert (out / "report.html").read_text().count("<h3>Scene") == 1
     made = (out / "scene_00000.npz").stat().st_mtime_ns

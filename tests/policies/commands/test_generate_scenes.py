@@ -43,7 +43,7 @@ def test_generate_scenes_without_a_folder_names_one_after_part_and_seed(
     monkeypatch.setattr(synthesis, "generate_scenes", lambda *arguments: asked.append(arguments) or iter([0]))
     args = ["--part", "part_b", "--seed", "3", "--count", "1", "--sensor", "mixed", "--no-jitter", "--workers", "4"]
     assert generate.main([*args, *SCENES[:-2]]) == 0
-    assert "1 scenes in runs/scenes-part_b-3" in capsys.readouterr().out
+    assert "1 scene in runs/scenes-part_b-3" in capsys.readouterr().out
     camera = CameraConfig(width=320, height=240)
     config = SceneConfig(part="part_b", seed=3, num_parts=(2, 3), sensor="mixed", jitter=False, camera=camera)
     assert asked == [(config, 1, Path("runs/scenes-part_b-3"), 4)]

@@ -157,7 +157,7 @@ def test_train_and_evaluate_print_table_1_with_our_row(
     judged = ("evaluate", "--rooms", small_rooms, "--weights", out / "weights.safetensors", "--json", tmp_path / "e")
     assert call(*judged, "--workers", 2) == 0
     table = capsys.readouterr().out
-    assert "last row: 1 rooms" in table  # of Area 5 alone
+    assert "last row: 1 room of" in table  # of Area 5 alone
     assert [line.split("  ")[0] for line in table.splitlines() if "  " in line][1:6] == [
         "SGPN (PointNet, colour)", "paper (DGCNN, colour)", "paper (DGCNN, new loss)",
         "paper (DGCNN, colour, new loss)", "dgcnn-new",

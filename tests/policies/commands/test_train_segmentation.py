@@ -228,7 +228,7 @@ def test_more_scenes_are_made_where_those_of_an_earlier_training_are_too_few(
     # A training stays on the scenes that it began with, so that it can be resumed.
     for out, count in (("first", 3), ("longer", 5), ("seed-1", 6), ("steps", 6)):
         assert sum(len(paths) for paths in replace(args, out=Path(out)).files()) == count
-    assert "made 1 scenes besides 5 that were there in 0.0 min" in capsys.readouterr().out
+    assert "made 1 scene besides 5 that were there in 0.0 min" in capsys.readouterr().out
 
 
 def test_random_weights_get_scenes_too(drawn_scenes: list[int], judged: list[float]) -> None:
