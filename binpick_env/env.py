@@ -181,7 +181,6 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             symmetry_tolerance=symmetry_tolerance,
             **cell,
         )
-        # Checked here: arguments that no other class checks.
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}")
         if obs_mode not in ("state", "rgbd"):

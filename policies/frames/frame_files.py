@@ -48,7 +48,7 @@ def frames_in(folder: Path, *, grey: str | None = None, calibration: Path | None
 def _images_of(path: Path) -> set[Path] | None:
     """Return the images that a JSON file of a frame names; None for a JSON file of something else."""
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, OSError):
         return set()
     if not (isinstance(content, dict) and set(content) >= _FRAME_KEYS):
