@@ -103,9 +103,11 @@ def _parsed(path: Path, suffix: str, data: bytes) -> tuple[list[trimesh.Trimesh]
 def _stl(data: bytes) -> tuple[bytes, str]:
     """Return the content of an STL without what follows its triangles, and trimesh's name of its kind."""
     if data[:512].lstrip().startswith(b"solid") and b"facet" in data[:4096]:
-        begun, ended = (data.lower().count(word) for word in (b"facet normal", b"endfacet"))
-        if begun > ended:
-            raise ValueError(f"it is truncated: {begun} facets begin and {ended} end; export or copy it again")
+        text = data.lower()
+        begun, ended, closed = (text.count(word) for word in (b"facet normal", b"endfacet", b"endsolid"))
+        if begun > ended or not closed:
+            rest = "" if closed else " and endsolid is missing"
+            raise ValueError(f"it is truncated: {begun} facets begin, {ended} end{rest}; export or copy it again")
         return _as_utf8(data), "stl_ascii"
     if len(data) < _STL_HEADER:
         raise ValueError(f"it has {len(data)} bytes, fewer than the header of a binary STL")

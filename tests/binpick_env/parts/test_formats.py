@@ -133,9 +133,15 @@ def test_a_truncated_binary_stl_is_named_as_such(save: Save) -> None:
 
 def test_a_truncated_text_stl_is_named_as_such(tmp_path: Path) -> None:
     content = str(ell().export(file_type="stl_ascii"))
-    half = content[: content.rindex("vertex")]
-    with pytest.raises(ValueError, match=r"it is truncated: 26 facets begin and 25 end; export or copy it again"):
-        read_mesh(text(tmp_path / "part.stl", half))
+    within = content[: content.rindex("vertex")]
+    with pytest.raises(ValueError, match=r"truncated: 26 facets begin, 25 end and endsolid is missing; export"):
+        read_mesh(text(tmp_path / "part.stl", within))
+    between = content[: content.rindex("endfacet")] + "endfacet\n"
+    with pytest.raises(ValueError, match=r"truncated: 26 facets begin, 26 end and endsolid is missing; export"):
+        read_mesh(text(tmp_path / "part.stl", between))
+    hole = content.replace("endfacet", "", 1)
+    with pytest.raises(ValueError, match=r"truncated: 26 facets begin, 25 end; export or copy it again"):
+        read_mesh(text(tmp_path / "part.stl", hole))
 
 
 def test_bytes_after_a_binary_stl_are_ignored(save: Save) -> None:
