@@ -46,7 +46,8 @@ def labelled_capture(fractions: Floats, part_ids: Any = -1) -> LabelledCapture:
     """
     ids = np.full((240, 320), -1, np.int64)
     ids[0] = part_ids
-    capture: Any = SimpleNamespace(frame=frame(), instance_ids=ids, measured_ids=ids)
+    seen = frame()
+    capture: Any = SimpleNamespace(frame=seen, instance_ids=ids, measured_ids=ids, T_world_cam=seen.T_world_cam)
     places = [make_transform(translation=(0.4 + 0.07 * k, 0.0, 0.0)) for k in range(len(fractions))]
     return LabelledCapture(
         capture=capture,

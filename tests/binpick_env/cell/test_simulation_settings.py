@@ -134,8 +134,9 @@ SETTINGS = {
     "timestep": (0.004, length_of_ten_steps, (0.4, 10)),
 }
 SETTINGS["bin.position"] = (*SETTINGS["bin.position"][:2], (0.26, 0.36, *HERE))
-# The first is the planner's, see tests/policies/motion; the camera's are in test_env_observations.py.
-ELSEWHERE = {"robot.max_acceleration", "camera"}
+# The first is the planner's, see tests/policies/motion; the camera's are in test_env_observations.py, and the
+# calibration's, which the physics do not know, in test_options.py.
+ELSEWHERE = {"robot.max_acceleration", "camera", "calibration"}
 
 
 @pytest.mark.parametrize("name", SETTINGS)
@@ -151,7 +152,7 @@ def test_every_setting_is_tested() -> None:
     names = set()
     for field in fields(CellConfig):
         value = getattr(CellConfig(), field.name)
-        inner = field.name not in ("camera", "timestep")
+        inner = field.name not in ("camera", "calibration", "timestep")
         names |= {f"{field.name}.{f.name}" for f in fields(value)} if inner else {field.name}
     assert names == {name.split(",")[0] for name in SETTINGS} | ELSEWHERE
 
