@@ -12,6 +12,7 @@ Floats = NDArray[np.float64]
 NEAR = 1e-3  # smallest depth of a point that is projected or drawn [m]
 _FIELDS_OF_VIEW = 0.5, 170.0  # angles that an image's width or height can show [deg]
 _SKEW = 0.01  # largest skew that is taken for a rounding error [px]
+_OFF_AXIS = 80.0  # largest angle between the optical axis and any side of an image of a pinhole camera [deg]
 _RIGID = 1e-3  # largest deviation of R^T R from the identity: a pose written with three decimals is still rigid
 
 
@@ -154,8 +155,9 @@ def camera_matrix(focal_px: float, width: int, height: int) -> Floats:
 def require_camera(K: Floats, width: int, height: int) -> None:
     """Raise ``ValueError`` unless a (3, 3) camera matrix [px] can be that of an image of this size.
 
-    The principal point may lie outside a crop of an image, but by no more than the crop's size. Fields of view from
-    0.5 to 170 degrees are accepted: cameras of bins have 10 to 120, and a crop sees a part of that.
+    The principal point may lie outside the image, as in a crop of a larger one, but no side of the image may be farther
+    than 80 degrees from the optical axis. Fields of view from 0.5 to 170 degrees are accepted: cameras of bins have 10
+    to 120, and a crop sees a part of that.
     """
     require_shape("K", K, (3, 3))
     if not (np.all(np.isfinite(K)) and K[0, 0] > 0 and K[1, 1] > 0):
@@ -177,10 +179,13 @@ def require_camera(K: Floats, width: int, height: int) -> None:
                 f"{view:.3g} degrees, which must be between {_FIELDS_OF_VIEW[0]:g} and {_FIELDS_OF_VIEW[1]:g}; "
                 "focal lengths are in pixels of this image"
             )
-        if not -size <= centre <= 2 * size:
+        outside = max(-centre, centre - size, 0.0)
+        angle = float(np.degrees(np.arctan2(outside + size, focal))) if outside > 0 else 0.0
+        if angle > _OFF_AXIS:
             raise ValueError(
-                f"K does not fit the image: its principal point ({K[0, 2]:g}, {K[1, 2]:g}) px lies outside the image "
-                f"of {width} x {height} px by more than its size; K must be that of this resolution and crop"
+                f"K does not fit the image: its principal point ({K[0, 2]:g}, {K[1, 2]:g}) px lies so far outside the "
+                f"image of {width} x {height} px that a side of it would be {angle:.1f} degrees off the optical axis, "
+                f"which must be at most {_OFF_AXIS:g}; K must be that of this resolution and crop"
             )
 
 

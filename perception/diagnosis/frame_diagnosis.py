@@ -17,6 +17,7 @@ from perception.part import PartModel
 
 FEWEST_PIXELS = 70  # length of a part in the image below which poses get worse [px]
 SPLITTING_PIXELS = 45  # length below which the segmentation splits parts [px]
+_IN_VIEW = 0.9  # share of the bin's image in the frame below which that is said
 _REGION_SAMPLES = 16_384  # number of pixels of the bin's region that grey levels and the median depth are taken from
 _DARK, _BRIGHT = 40, 254  # grey levels: Canny's strong threshold, and a saturated pixel
 _DARK_QUANTILE = 0.99  # quantile of the grey levels that reaches the threshold where there are edges
@@ -71,9 +72,12 @@ def diagnose(
     measured = depth[samples.measured(depth)]
     measured = measured if len(measured) else samples.depth[samples.measured(samples.depth)]
     pixels = _part_pixels(setup, part, measured)
-    causes += _resolution(part, pixels)
+    causes += _resolution(part, pixels, len(boundary))
+    view = 1.0
     if sound:
-        causes += _floor(part, setup.fit(samples).low, poses)
+        fit = setup.fit(samples)
+        view = fit.view
+        causes += _view(view) + _floor(part, fit.low, poses)
     return FrameReport(
         pixels=whole.size,
         depth_share=found / max(whole.size, 1),
@@ -83,6 +87,7 @@ def diagnose(
         part_pixels=pixels,
         poses=poses,
         causes=tuple(causes),
+        in_view=view,
     )
 
 
@@ -121,8 +126,26 @@ def _part_pixels(setup: Setup, part: PartModel, depths: NDArray[np.float32]) -> 
     return focal * part.d_max / (float(np.median(depths)) * setup.scale)
 
 
-def _resolution(part: PartModel, pixels: float | None) -> list[Cause]:
-    """Suspect the part's size: too thin to stand out from the floor, or too small in the image."""
+def _view(view: float) -> list[Cause]:
+    """Suspect the camera's place if a part of the bin lies outside the image."""
+    if view >= _IN_VIEW:
+        return []
+    text = (
+        f"only {100 * view:.0f} % of the bin's image lies within the frame: parts beside it are not found, and those "
+        "that it cuts are found badly; move the camera, take a shorter lens, or check T_world_bin and K"
+    )
+    return [Cause(name="partly_outside", text=text)]
+
+
+def _resolution(part: PartModel, pixels: float | None, points: int) -> list[Cause]:
+    """Suspect the part's size: too thin to stand out from the floor, or too small in the image.
+
+    Args:
+        part: Part that is searched for.
+        pixels: Expected length of a part in the image [px]; None without depth.
+        points: Number of boundary points. The outline of a part has at least twice as many as it is long; with fewer
+            than its length there is no part in the bin.
+    """
     causes = []
     margin, thickness = BoundarySettings().margin, part_thickness(part)
     if thickness < margin:
@@ -132,7 +155,7 @@ def _resolution(part: PartModel, pixels: float | None) -> list[Cause]:
             f"{1000 * (margin - thickness) + 1:.0f} mm"
         )
         causes.append(Cause(name="thin_part", text=text))
-    if pixels is not None and pixels < FEWEST_PIXELS:
+    if pixels is not None and pixels < min(FEWEST_PIXELS, points):
         splits = f" (under {SPLITTING_PIXELS} the segmentation splits parts)" if pixels < SPLITTING_PIXELS else ""
         text = (
             f"a part is only about {pixels:.0f} pixels long, {FEWEST_PIXELS} are needed{splits}: move the camera "

@@ -19,6 +19,7 @@ CauseName = Literal[
     "thin_part",
     "few_pixels",
     "floor_height",
+    "partly_outside",
 ]
 
 
@@ -81,6 +82,7 @@ class FrameReport:
         poses: What became of the groups; None if no poses were estimated.
         causes: Likely causes, those to settle first first; empty for a good frame.
         bin: What was measured of the bin; None if it was taken as given.
+        in_view: Share of the bin's image that lies within the frame, in [0, 1]; 1 where the bin's pose is in doubt.
     """
 
     pixels: int
@@ -92,6 +94,7 @@ class FrameReport:
     poses: PoseCounts | None
     causes: tuple[Cause, ...]
     bin: BinFacts | None = None
+    in_view: float = 1.0
 
     def __str__(self) -> str:
         depth = "no depth" if self.median_depth is None else f"median depth {self.median_depth:.4g} m"

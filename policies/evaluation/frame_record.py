@@ -112,6 +112,7 @@ class FrameRecord:
         segments: Segments that poses were searched in; None where the ground truth was read.
         explained: Segments after points were assigned to poses; None where the ground truth was read.
         ms: Wall clock of each stage of perception [ms].
+        causes: Names of the likely causes of lost parts in the frame's report.
     """
 
     frame_id: int
@@ -120,6 +121,7 @@ class FrameRecord:
     segments: SegmentTable | None = None
     explained: SegmentTable | None = None
     ms: dict[str, float] = field(default_factory=dict)
+    causes: tuple[str, ...] = ()
 
     @property
     def to_find(self) -> frozenset[int]:
@@ -141,6 +143,7 @@ class FrameRecord:
             segments=_table(values["segments"]),
             explained=_table(values["explained"]),
             ms=values["ms"],
+            causes=tuple(values.get("causes", ())),  # which records of older versions lack
         )
 
 
@@ -153,6 +156,7 @@ def record_frame(frame_id: int, labelled_capture: LabelledCapture, observed: Obs
         observed: What perception found; the first `MAX_CANDIDATES` candidates, those of the observation, are recorded.
     """
     perception = observed.perception
+    report = None if perception is None else perception.report
     candidates = observed.candidates[:MAX_CANDIDATES]
     segments = explained = None
     overlaps: list[float | None] = [None] * len(candidates)
@@ -171,6 +175,7 @@ def record_frame(frame_id: int, labelled_capture: LabelledCapture, observed: Obs
         segments=segments,
         explained=explained,
         ms={} if perception is None else dict(perception.ms),
+        causes=() if report is None else tuple(cause.name for cause in report.causes),
     )
 
 

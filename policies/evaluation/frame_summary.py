@@ -3,8 +3,9 @@
 The frames of a bin show the same parts again and again; therefore, intervals come from resampling whole bins.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,6 +37,7 @@ class FrameSummary:
         intervals: 95 % intervals of ``ap`` and ``rates``, percentile bootstrap over bins, those of rates at least as
             wide as Wilson's; None for a single bin.
         frames: Number of frames.
+        causes: Number of frames by the likely causes of lost parts that their reports name.
     """
 
     ap: dict[str, float | None]
@@ -46,6 +48,7 @@ class FrameSummary:
     stages: dict[str, float]
     intervals: dict[str, Interval | None]
     frames: int
+    causes: dict[str, int] = field(default_factory=dict)
 
 
 def summarise_frames(records: Sequence[BinRecord], rng: np.random.Generator) -> FrameSummary:
@@ -72,6 +75,7 @@ def summarise_frames(records: Sequence[BinRecord], rng: np.random.Generator) -> 
         stages={name: float(np.median([f.ms[name] for f in frames if name in f.ms])) for name in _stages(frames)},
         intervals=intervals,
         frames=len(frames),
+        causes=dict(Counter(name for frame in frames for name in frame.causes).most_common()),
     )
 
 

@@ -55,6 +55,7 @@ class Summary:
         pose_error: Medians over all candidates that have a part: "mm" at its centre, "deg" modulo symmetry.
         failure_attribution: Number of failed attempts, by the stage at which they failed.
         frames: Number of frames that decisions were made on.
+        frame_causes: Number of these frames by the likely causes of lost parts that their reports name.
         perception_ms: Median wall clock of each stage of perception for a frame [ms].
         clutter: Visible fractions in the settled bins: median (mean of the bins' medians), below_half and
             above_nine_tenths (shares of all parts), and the number of parts.
@@ -99,6 +100,7 @@ class Summary:
     pose_error: dict[str, float | None]
     failure_attribution: dict[str, int]
     frames: int
+    frame_causes: dict[str, int] = field(default_factory=dict)
     perception_ms: dict[str, float]
     clutter: dict[str, float | None]
     camera_backend: str
@@ -189,6 +191,7 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
             FailureStage, [p.failure_attribution for p in attempts if p.failure_attribution is not None]
         ),
         frames=perception.frames,
+        frame_causes=perception.causes,
         perception_ms=perception.stages,
         clutter=pooled_clutter([record.clutter for record in records]),
         camera_backend=config.camera.backend,

@@ -96,6 +96,9 @@ def _perception(summary: Summary) -> list[str]:
         f"of {summary.parts_to_find} parts half visible, in {summary.frames} frames{note}",
         f"poses off by  {fine(error['mm'])} mm, {fine(error['deg'])} deg (medians){note}",
     ]
+    if summary.frame_causes:
+        counts = ", ".join(f"{name} in {count}" for name, count in summary.frame_causes.items())
+        lines.append(f"causes        {counts} of {summary.frames} frames")
     if summary.perception_ms:
         stages = ", ".join(f"{name} {ms:.0f}" for name, ms in summary.perception_ms.items())
         lines.append(f"a frame       {sum(summary.perception_ms.values()):.0f} ms: {stages} (medians)")

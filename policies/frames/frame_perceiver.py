@@ -20,7 +20,9 @@ from policies.frames.bin_settings import BinSettings, workspace_found
 FARTHEST = 20.0  # depth beyond which nothing is searched without a bin; no camera over parts measures it [m]
 NO_DEPTH = (0.5, 1.0)  # range that is searched in a frame without depth, where there is nothing to find [m]
 # What a diagnosis says about the bin, which is not there.
-ABOUT_BIN: frozenset[CauseName] = frozenset({"inner_size_unit", "bin_pose", "floor_height", "thin_part"})
+ABOUT_BIN: frozenset[CauseName] = frozenset(
+    {"inner_size_unit", "bin_pose", "floor_height", "thin_part", "partly_outside"}
+)
 
 
 @dataclass(frozen=True, kw_only=True)

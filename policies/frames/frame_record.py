@@ -173,7 +173,8 @@ def _grasp_lines(record: FrameRecord, grasps: Sequence[FrameGrasp]) -> list[str]
 
 def _reason(report: FrameReport | None) -> str:
     """Return why no part was found."""
-    above = report is not None and bool(report.causes)
+    # What lies outside the image does not explain that nothing is found inside.
+    above = report is not None and any(cause.name != "partly_outside" for cause in report.causes)
     if report is None or report.boundary_points == 0:
         what = "there are no boundary points" + ("" if above else ", as in an empty bin")
     elif report.poses is None or report.poses.groups == 0:

@@ -121,9 +121,10 @@ def test_any_depth_is_finite_and_not_negative_afterwards(values: list[float], dt
             "which must be between 0.5 and 170; focal lengths are in pixels of this image",
         ),
         (
-            {"K": camera_matrix(100.0, 26, 4)},
-            "K does not fit the image: its principal point (12.5, 1.5) px lies outside the image of 6 x 4 px by more "
-            "than its size; K must be that of this resolution and crop",
+            {"K": camera_matrix(100.0, 1206, 4)},
+            "K does not fit the image: its principal point (602.5, 1.5) px lies so far outside the image of 6 x 4 px "
+            "that a side of it would be 80.6 degrees off the optical axis, which must be at most 80; K must be that of "
+            "this resolution and crop",
         ),
         ({"T_world_cam": np.diag([1.0, 1.0, 1.0, np.nan])}, "T_world_cam must be finite"),
         (
@@ -264,4 +265,5 @@ def test_a_rounded_pose_and_a_crop_are_accepted() -> None:
     R = rotation_about((1.0, 0.3, 0.0), 2.7)
     frame(T_world_cam=make_transform(R.round(3), (0.0, 0.0, 0.9)))
     frame(K=camera_matrix(100.0, 6, 4) + np.array([[0, 0, 9.0], [0, 0, -5.0], [0, 0, 0]]))  # beside the image
+    frame(K=camera_matrix(100.0, 6, 4) + np.array([[0, 0, 400.0], [0, 0, -300.0], [0, 0, 0]]))  # far beside it
     Workspace(T_world_bin=make_transform(R.round(3)), inner_size=INNER)

@@ -21,6 +21,7 @@ from binpick_env.jobs.process_map import map_indices
 from binpick_env.scenes.synthesis import OLDER_SETTINGS, CapturedScene, SceneConfig, make_scene, scene_settings
 from binpick_env.scenes.whole_part import whole_part_points
 from perception.boundary import BoundaryCloud, extract_boundary
+from perception.diagnosis import PoseCounts, diagnose
 from perception.frame import Frame
 from perception.geometry import Floats
 from perception.instance import Instance, labels_of
@@ -88,6 +89,7 @@ class _FrameResult:
         verified: Whether each estimate passes verification.
         explained: Groups of points after explanation by the poses.
         ms: Wall clock of each of `STAGES` [ms].
+        causes: Names of the likely causes of lost parts.
     """
 
     instances: list[Instance]
@@ -96,6 +98,7 @@ class _FrameResult:
     verified: list[bool]
     explained: list[Instance]
     ms: dict[str, float]
+    causes: tuple[str, ...]
 
 
 def evaluate_poses(
@@ -185,6 +188,7 @@ def evaluate_pose_scene(config: PoseEvaluationConfig, index: int, threads: int =
         ms=result.ms,
         threads=threads,
         git_commit=git_commit(),
+        causes=result.causes,
     )
 
 
@@ -210,8 +214,32 @@ def _process_frame(config: PoseEvaluationConfig, method: PoseMethod, captured: C
     alone = _trial_ms(method, boundary, [instances[k] for k in trials], frame)
     *stages, explanation = spent.tolist()
     ms = dict(zip(STAGES, [*stages, alone, explanation, sum(stages)], strict=True))
+    counts = _count_poses(method, len(groups), estimates, verified)
+    report = diagnose(frame, workspace, method.part, boundary, counts)
     return _FrameResult(
-        instances=instances, trials=trials, estimates=estimates, verified=verified, explained=explained, ms=ms
+        instances=instances,
+        trials=trials,
+        estimates=estimates,
+        verified=verified,
+        explained=explained,
+        ms=ms,
+        causes=tuple(cause.name for cause in report.causes),
+    )
+
+
+def _count_poses(
+    method: PoseMethod, groups: int, estimates: Sequence[PoseEstimate], verified: Sequence[bool]
+) -> PoseCounts:
+    """Count what became of the groups, as far as their best poses tell; hypotheses that the bin rejected do not."""
+    least = method.config.estimator.min_score
+    low = sum(not ok and each.score < least for each, ok in zip(estimates, verified, strict=True))
+    found, total = sum(verified), max(groups, len(estimates))
+    return PoseCounts(
+        groups=total,
+        found=found,
+        by_score=low,
+        by_neighbours=len(estimates) - found - low,
+        without_pose=total - len(estimates),
     )
 
 

@@ -53,6 +53,7 @@ class PoseRecord:
             (NaN without any). "total" excludes "trials" and "explanation".
         threads: Number of threads that computed the scene.
         git_commit: Commit of the code that made the record; empty outside a Git checkout.
+        causes: Names of the likely causes of lost parts in the frame's report; none in records of older versions.
     """
 
     labels: NDArray[np.int64]
@@ -77,6 +78,7 @@ class PoseRecord:
     ms: dict[str, float]
     threads: int
     git_commit: str
+    causes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         count, estimates = len(self.instance_ids), len(self.poses)
@@ -145,6 +147,7 @@ class PoseRecord:
             "whole_scene": np.bool_(self.whole_scene),
             "threads": np.int64(self.threads),
             "git_commit": np.str_(self.git_commit),
+            "causes": np.array(self.causes, np.str_),
         }
         FORMAT.save_arrays(path, arrays)
 
@@ -167,4 +170,5 @@ class PoseRecord:
             whole_scene=bool(arrays["whole_scene"]),
             threads=int(arrays["threads"]),
             git_commit=str(arrays["git_commit"]),
+            causes=tuple(str(name) for name in arrays["causes"]) if "causes" in arrays else (),
         )

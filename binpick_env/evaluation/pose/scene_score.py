@@ -81,6 +81,7 @@ class PoseSceneScore:
         ms: Wall clock of each stage [ms].
         threads: Number of threads that computed the scene.
         git_commit: Commit of the code that made the record.
+        causes: Names of the likely causes of lost parts in the frame's report.
     """
 
     index: int
@@ -98,6 +99,7 @@ class PoseSceneScore:
     ms: dict[str, float]
     threads: int
     git_commit: str
+    causes: tuple[str, ...] = ()
 
     @classmethod
     def from_record(
@@ -139,6 +141,7 @@ class PoseSceneScore:
             ms=record.ms,
             threads=record.threads,
             git_commit=record.git_commit,
+            causes=record.causes,
         )
 
     @property

@@ -1,5 +1,6 @@
 """Summary of an evaluation of poses; its field names are the keys of the JSON file."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -87,6 +88,7 @@ class PoseSummary:
         threads: Numbers of threads that scenes were computed on.
         clutter: Median visible fraction (mean of the scenes' medians), shares of parts below 0.5 and above 0.9, and the
             number of parts.
+        frame_causes: Number of scenes by the likely causes of lost parts that their frames' reports name.
         scenes: Number of scenes.
         part: Part in the bins.
         sensor: Preset of the depth sensor's noise.
@@ -134,6 +136,7 @@ class PoseSummary:
     groups_per_scene: float
     threads: list[int]
     clutter: dict[str, float | None]
+    frame_causes: dict[str, int] = field(default_factory=dict)
     scenes: int
     part: str
     sensor: str
@@ -209,6 +212,7 @@ def summarise_poses(
         groups_per_scene=median([score.groups for score in scores]),
         threads=sorted({score.threads for score in scores}),
         clutter=pooled_clutter([score.clutter for score in scores]),
+        frame_causes=dict(Counter(name for score in scores for name in score.causes).most_common()),
         scenes=len(scores),
         part=config.scenes.part,
         sensor=config.scenes.sensor,

@@ -151,6 +151,9 @@ def _facts(summary: PoseSummary) -> list[str]:
         f"clutter       visible fraction: median {number(c['median'], 2)}, "
         f"{percent(c['below_half'])} of parts under 0.5, {percent(c['above_nine_tenths'])} over 0.9",
     ]
+    if summary.frame_causes:
+        counts = ", ".join(f"{name} in {count}" for name, count in summary.frame_causes.items())
+        lines.append(f"causes        {counts} of {summary.scenes} frames")
     if summary.weights is not None:
         commit = summary.weights["git_commit"] or "unknown"
         lines.append(f"weights       {summary.weights['path']}, trained at commit {commit}")

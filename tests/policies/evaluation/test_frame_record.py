@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from binpick_env.candidates import MAX_CANDIDATES
 from binpick_env.observation.observed_candidates import ObservedCandidates
+from perception.diagnosis import Cause, FrameReport
 from perception.geometry import make_transform, rotation_about
 from perception.instance import instances_of
 from perception.metrics.average_precision import ap_summary
@@ -195,3 +196,19 @@ def test_a_record_survives_json() -> None:
     ):
         record = record_frame(3, view, seen)
         assert FrameRecord.from_plain(json.loads(json_text(asdict(record)))) == record
+
+
+def test_the_causes_of_a_frames_report_are_recorded_and_older_records_have_none() -> None:
+    view = labelled_capture(FRACTIONS)
+    seen = observed(view, [], [])
+    assert seen.perception is not None
+    report = FrameReport(
+        pixels=9, depth_share=1.0, median_depth=0.9, boundary_points=0, outside=0, part_pixels=60.0, poses=None,
+        causes=(Cause(name="few_pixels", text="small"),),
+    )  # fmt: skip
+    record = record_frame(0, view, replace(seen, perception=replace(seen.perception, report=report)))
+    assert record.causes == ("few_pixels",)
+    plain = json.loads(json.dumps(asdict(record)))
+    assert FrameRecord.from_plain(plain).causes == ("few_pixels",)
+    del plain["causes"]
+    assert FrameRecord.from_plain(plain).causes == ()

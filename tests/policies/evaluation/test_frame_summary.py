@@ -100,6 +100,12 @@ def test_errors_are_medians_over_candidates_with_a_part() -> None:
     assert summary_of(record(far)).errors == pytest.approx({"mm": 2.0, "deg": 4.0})
 
 
+def test_causes_are_counted_over_frames() -> None:
+    frames = [frame(causes=("few_pixels",)), frame(causes=("few_pixels", "underexposed")), frame()]
+    summary = summarise_frames([record(*frames[:2]), record(frames[2])], np.random.default_rng(0))
+    assert summary.causes == {"few_pixels": 2, "underexposed": 1}
+
+
 def test_stages_are_medians_over_frames() -> None:
     times = [frame(ms={"boundary": ms, "poses": 300.0}) for ms in (10.0, 20.0, 60.0)]
     assert summary_of(record(*times), record(frame())).stages == {"boundary": 20.0, "poses": 300.0}

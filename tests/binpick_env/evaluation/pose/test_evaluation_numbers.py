@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -264,6 +265,15 @@ def test_the_papers_total_is_from_a_frame_to_the_poses() -> None:
 def test_quantiles_are_a_dash_without_values() -> None:
     assert quantiles({"median": 1.5, "p90": 1.8, "p95": 2.0}, "mm") == "median 1.50, 95 % under 2.00 mm"
     assert quantiles(dict.fromkeys(("median", "p90", "p95"), np.nan), "mm") == "–"
+
+
+def test_causes_are_counted_over_frames_and_survive_a_file(tmp_path: Path) -> None:
+    record(causes=("few_pixels", "underexposed")).save(tmp_path / "a.npz")
+    assert PoseRecord.load(tmp_path / "a.npz").causes == ("few_pixels", "underexposed")
+    summary = summary_of(PoseRecord.load(tmp_path / "a.npz"), record(causes=("underexposed",)), record())
+    assert summary.frame_causes == {"underexposed": 2, "few_pixels": 1}
+    assert "causes        underexposed in 2, few_pixels in 1 of 3 frames" in pose_table(summary)
+    assert "causes  " not in pose_table(summary_of(record()))
 
 
 def test_unknown_commits_are_named_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
