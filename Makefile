@@ -28,7 +28,7 @@ $(VENV)/.run-stamp: pyproject.toml constraints.txt | $(BIN)/python
 $(VENV)/.dev-stamp: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing binpick with everything for development into $(VENV) ..."
 	$(PIP) torch==2.13.0
-	$(PIP) -e '.[learn,report,viz,docs,dev]' hatchling
+	$(PIP) -e '.[learn,report,viz,cameras,docs,dev]' hatchling
 	@touch $@ $(VENV)/.run-stamp
 
 setup: $(VENV)/.dev-stamp  ## make .venv with everything for development

@@ -1,9 +1,14 @@
 from .calibration import Calibration as Calibration
 from .calibration_files import read_calibration as read_calibration
+from .cameras import Camera as Camera
+from .cameras import PointsCamera as PointsCamera
+from .cameras import RealSenseCamera as RealSenseCamera
 from .frame_edits import crop_frame as crop_frame
 from .frame_edits import turn_frame as turn_frame
 from .options import ReadOptions as ReadOptions
 from .options import ReadReport as ReadReport
 from .reading import read_frame as read_frame
 from .reading import read_frame_with_report as read_frame_with_report
+from .recordings import frame_count as frame_count
+from .recordings import is_recording as is_recording
 from .writing import write_frame as write_frame

@@ -1,5 +1,6 @@
 """The calibration of a depth camera: camera matrix, lens distortion, image size, unit of depth and pose."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -80,10 +81,9 @@ class Calibration:
             height: Rows kept.
 
         Raises:
-            ValueError: The rectangle does not lie in the image.
+            ValueError: The rectangle is not of whole pixels, or does not lie in the image.
         """
-        if self.size is not None:
-            require_inside((u0, v0, width, height), self.size)
+        u0, v0, width, height = require_inside((u0, v0, width, height), self.size)
         K = self.K.copy()
         K[:2, 2] -= (u0, v0)
         return replace(self, K=K, size=(width, height))
@@ -97,13 +97,20 @@ class Calibration:
             )
 
 
-def require_inside(crop: tuple[int, int, int, int], size: tuple[int, int]) -> None:
-    """Raise ``ValueError`` unless the rectangle (u0, v0, width, height) has pixels and lies in an image of ``size``."""
-    u0, v0, width, height = crop
-    if u0 < 0 or v0 < 0 or width < 1 or height < 1 or u0 + width > size[0] or v0 + height > size[1]:
-        raise ValueError(
-            f"a crop (u0, v0, width, height) must lie in the image of {_text(size)} pixels, got {tuple(crop)}"
-        )
+def require_inside(crop: Sequence[float], size: tuple[int, int] | None) -> tuple[int, int, int, int]:
+    """Return the rectangle (u0, v0, width, height) of whole pixels in an image of ``size``, None if that is unknown.
+
+    Raises:
+        ValueError: The rectangle is not of whole pixels, has none, or does not lie in the image.
+    """
+    if not all(float(value).is_integer() for value in crop):
+        raise ValueError(f"a crop (u0, v0, width, height) must be of whole pixels, got {tuple(crop)}")
+    u0, v0, width, height = (int(value) for value in crop)
+    inside = size is None or (u0 + width <= size[0] and v0 + height <= size[1])
+    if u0 < 0 or v0 < 0 or width < 1 or height < 1 or not inside:
+        where = "the image" if size is None else f"the image of {_text(size)} pixels"
+        raise ValueError(f"a crop (u0, v0, width, height) must lie in {where}, got {tuple(crop)}")
+    return u0, v0, width, height
 
 
 def require_camera_matrix(K: ArrayLike) -> Floats:

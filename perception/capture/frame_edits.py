@@ -20,10 +20,10 @@ def crop_frame(frame: Frame, u0: int, v0: int, width: int, height: int) -> Frame
         height: Rows kept.
 
     Raises:
-        ValueError: The rectangle does not lie in the image, or the principal point lies outside the rectangle by more
-            than its size.
+        ValueError: The rectangle is not of whole pixels, or does not lie in the image.
     """
-    require_inside((u0, v0, width, height), (frame.depth.shape[1], frame.depth.shape[0]))
+    size = (frame.depth.shape[1], frame.depth.shape[0])
+    u0, v0, width, height = require_inside((u0, v0, width, height), size)
     K = frame.K.copy()
     K[:2, 2] -= (u0, v0)
     window = np.s_[v0 : v0 + height, u0 : u0 + width]

@@ -26,6 +26,10 @@ class ReadOptions:
     image_id: int | None = (
         None  # number of the image in BOP's scene_camera.json; None: the number that the file is named by
     )
+    index: int = 0  # number of the frame in a recording; negative ones count from the end
+    topic: str | None = None  # topic of depth images or clouds in a recording; None: the only one
+    # topic of grey or colour images in a recording, registered to the depth; None: the one that is, if there is one
+    grey_topic: str | None = None
     axes: Axes = "opencv"  # axes of a cloud: OpenCV's (y down, z forward) or OpenGL's (y up, z backward)
     grid: tuple[int, int] | None = None  # columns and rows of an organised cloud whose file does not state them
     project: bool = False  # project an organised cloud into the stated camera, as unorganised ones are

@@ -16,9 +16,11 @@ from perception.capture.damage import decoding
 from perception.capture.frame_edits import crop_frame, turn_frame
 from perception.capture.images import grey_image, metres, read_raw
 from perception.capture.options import ReadOptions, ReadReport
+from perception.capture.recordings import is_recording, recording_content, require_rosbags
 from perception.capture.shading import shade_depth
 from perception.capture.undistortion import undistort
 from perception.frame import Frame
+from perception.geometry import Floats
 
 PathLike = str | Path
 Matrix = NDArray[np.floating] | Sequence[Sequence[float]]
@@ -82,7 +84,7 @@ def read_frame_with_report(
         ValueError: A file is damaged, or the files do not fit together; the message says what to do.
     """
     path, options = Path(path), options or ReadOptions()
-    content = load_content(path)
+    content = _recorded(path, options) if is_recording(path) else load_content(path)
     if options.grid is not None and content.cloud is not None:
         content = replace(content, cloud=content.cloud.in_grid(*options.grid))
     if grey is not None:
@@ -90,20 +92,52 @@ def read_frame_with_report(
             image = grey_image(read_raw(Path(grey)), f"the grey image {Path(grey).name}")
         content = replace(content, grey=image)
     camera = _calibration(calibration, content, options, path)
+    pose = None if T_world_cam is None else require_pose("T_world_cam", T_world_cam)
+    return frame_of_content(content, camera, options, T_world_cam=pose, name=path.name)
+
+
+def frame_of_content(
+    content: Content,
+    camera: Calibration | None,
+    options: ReadOptions,
+    *,
+    T_world_cam: Floats | None = None,
+    name: str = "the camera",
+) -> tuple[Frame, ReadReport]:
+    """Return the frame of a depth image or a cloud, and what was found and done.
+
+    Args:
+        content: Depth image or cloud, perhaps with a grey image.
+        camera: Calibration; None if it is recovered from an organised cloud.
+        options: Unit, axes, crop and turn.
+        T_world_cam: (4, 4) camera pose; None for that of calibration or cloud, otherwise the identity.
+        name: Name of the source, for messages.
+
+    Raises:
+        ValueError: What is given does not fit together; the message says what to do.
+    """
     frame, report = (
         _from_cloud(content, camera, options)
         if content.cloud is not None
-        else _from_depth(content, camera, options, path.name)
+        else _from_depth(content, camera, options, name)
     )
     if T_world_cam is not None:
-        frame = replace(frame, T_world_cam=require_pose("T_world_cam", T_world_cam))
+        frame = replace(frame, T_world_cam=T_world_cam)
     if options.crop is not None:
         frame = crop_frame(frame, *options.crop)
     frame = turn_frame(frame, options.quarter_turns)
     report = replace(report, measured_fraction=float(np.mean(frame.valid)))
     if frame.valid.any() and (middle := float(np.median(frame.depth[frame.valid]))) > FAR:
-        _log.warning("%s: the median depth is %.0f m: is scale right (0.001 for millimetres)?", path.name, middle)
+        _log.warning("%s: the median depth is %.0f m: is scale right (0.001 for millimetres)?", name, middle)
     return frame, report
+
+
+def _recorded(path: Path, options: ReadOptions) -> Content:
+    require_rosbags(path)
+    if not path.exists():
+        raise FileNotFoundError(f"there is no recording {path}")
+    with decoding(path):
+        return recording_content(path, options.index, options.topic, options.grey_topic)
 
 
 def _calibration(

@@ -30,7 +30,8 @@ class Arguments:
     no meaning.
     """
 
-    # depth images (16-bit PNG or TIFF, EXR, NPY), clouds (PCD, PLY, NPZ) or frames that write_frame wrote
+    # depth images (16-bit PNG or TIFF, EXR, NPY), clouds (PCD, PLY, NPZ), recordings (ROS bag, MCAP, RealSense) or
+    # frames that write_frame wrote
     frames: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     # folder of frames, instead of their files; the results are kept and resumed in --out
     frames_in: Annotated[Path | None, tyro.conf.arg(name="frames")] = None
@@ -63,6 +64,10 @@ class Arguments:
     depth_scale: float | None = None
     # stored depths that mean "no measurement"; 0, and 65535 in integers, unless given
     missing: tuple[float, ...] | None = None
+    index: int = 0  # number of the frame in a recording (ROS bag, MCAP, RealSense); negative: from the end
+    topic: str | None = None  # topic of the depth images or clouds in a recording; the only one unless given
+    # topic of the grey or colour images in a recording, registered to the depth
+    grey_topic: str | None = None
     # how the image's size relates to the calibrated one: equal, or scaled as a whole
     fit: Literal["same", "scale"] = "same"
     axes: Literal["opencv", "opengl"] = "opencv"  # axes of a cloud: y down and z forward, or y up and z backward
@@ -190,6 +195,9 @@ class Arguments:
             options=ReadOptions(
                 scale=self.depth_scale,
                 missing=self.missing,
+                index=self.index,
+                topic=self.topic,
+                grey_topic=self.grey_topic,
                 fit=self.fit,
                 axes=self.axes,
                 grid=self.grid,

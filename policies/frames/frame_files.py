@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+from perception.capture import is_recording
+
 STEM = "{stem}"  # stands for the frame's file name without its suffix
 SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy", ".npz", ".pcd", ".ply")  # formats of one frame a file
 _FRAME_KEYS = {"depth", "grey", "K"}  # keys of the JSON file of a frame, which names the files of its images
@@ -33,7 +35,7 @@ def frames_in(folder: Path, *, grey: str | None = None, calibration: Path | None
             if images is not None:
                 found.append(path)
                 parts_of_frames.update(images)
-        elif path.suffix.lower() in SUFFIXES:
+        elif path.suffix.lower() in SUFFIXES or is_recording(path):
             found.append(path)
     if calibration is not None:
         parts_of_frames.add(calibration.resolve())
@@ -41,7 +43,9 @@ def frames_in(folder: Path, *, grey: str | None = None, calibration: Path | None
         parts_of_frames.update(Path(grey.replace(STEM, path.stem)).resolve() for path in found)
     frames = tuple(path for path in found if path.resolve() not in parts_of_frames)
     if not frames:
-        raise ValueError(f"{folder} must hold frames ({', '.join(SUFFIXES)}, or JSON files of write_frame), got none")
+        raise ValueError(
+            f"{folder} must hold frames ({', '.join(SUFFIXES)}, recordings, or JSON files of write_frame), got none"
+        )
     return frames
 
 

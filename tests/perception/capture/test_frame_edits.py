@@ -50,7 +50,13 @@ def test_a_crop_beside_the_image_is_refused(frame: Frame, crop: tuple[int, int, 
         crop_frame(frame, *crop)
 
 
-def test_a_crop_far_from_the_optical_axis_is_refused(frame: Frame) -> None:
-    assert crop_frame(frame, 0, 0, 2, 2).depth.shape == (2, 2)
-    with pytest.raises(ValueError, match=r"principal point \(.*\) px lies outside the image of 1 x 1 px by more than"):
-        crop_frame(frame, 0, 0, 1, 1)
+def test_a_crop_may_be_far_from_the_optical_axis(frame: Frame) -> None:
+    assert crop_frame(frame, 0, 0, 1, 1).K[:2, 2].tolist() == frame.K[:2, 2].tolist()
+
+
+@pytest.mark.parametrize("crop", [(0.5, 0, 2, 2), (0, 0, 2.25, 2)])
+def test_a_crop_of_broken_pixels_is_refused(frame: Frame, crop: tuple[float, float, float, float]) -> None:
+    with pytest.raises(ValueError, match="must be of whole pixels, got"):
+        crop_frame(frame, *crop)  # type: ignore[arg-type]
+    whole = crop_frame(frame, *(float(value) for value in (1, 1, 2, 2)))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(whole.grey, frame.grey[1:3, 1:3])

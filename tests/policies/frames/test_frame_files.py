@@ -16,13 +16,13 @@ def names(paths: tuple[Path, ...]) -> list[str]:
 
 def test_frames_are_told_from_what_belongs_to_them(tmp_path: Path) -> None:
     write_frame(photographed(), tmp_path / "whole.json", scale=0.0001)
-    for name in ("b.png", "b_grey.png", "a.pcd", "notes.txt", "c.npz"):
+    for name in ("b.png", "b_grey.png", "a.pcd", "notes.txt", "c.npz", "d.mcap"):
         (tmp_path / name).touch()
     (tmp_path / "camera.json").write_text(json.dumps({"fx": 600, "fy": 600, "cx": 320, "cy": 240}))
     (tmp_path / "broken.json").write_text('{"depth": ')
     (tmp_path / "calibration.npz").touch()
     found = frames_in(tmp_path, grey=str(tmp_path / "{stem}_grey.png"), calibration=tmp_path / "calibration.npz")
-    assert names(found) == ["a.pcd", "b.png", "broken.json", "c.npz", "whole.json"]
+    assert names(found) == ["a.pcd", "b.png", "broken.json", "c.npz", "d.mcap", "whole.json"]
 
 
 def test_without_a_pattern_other_images_are_frames_too(tmp_path: Path) -> None:

@@ -1,0 +1,192 @@
+"""ROS bags, MCAP and recordings of RealSense cameras."""
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from perception.capture import ReadOptions, frame_count, is_recording, read_frame, read_frame_with_report
+from tests.perception.capture.bags import K, Kind, Messages
+
+DEPTH_MM = np.random.default_rng(0).integers(500, 1500, (48, 64)).astype(np.uint16)
+DEPTH_MM[:3] = 0
+GREY = np.random.default_rng(1).integers(0, 256, (48, 64)).astype(np.uint8)
+KINDS: tuple[Kind, ...] = ("ros1", "sqlite3", "mcap")
+
+
+def bag(folder: Path, kind: Kind) -> Path:
+    """Return the recording of a ROS driver: three depth images, grey images, and calibrations of two cameras."""
+    make = Messages(kind)
+    entries: list[tuple[str, int, Any]] = [
+        ("/camera/color/camera_info", 1, make.info((128, 96), camera=2 * K)),
+        ("/camera/depth/camera_info", 1, make.info()),
+    ]
+    for k in range(3):
+        entries.append(("/camera/depth/image_raw", 1000 * k + 5, make.image(DEPTH_MM + k, "16UC1", padding=8)))
+        entries.append(("/camera/ir/image_raw", 1000 * k + 9, make.image(GREY // (k + 1), "mono8")))
+        entries.append(("/camera/color/image_raw", 1000 * k + 9, make.image(np.zeros((96, 128, 3), np.uint8), "rgb8")))
+    return make.write(folder / ("a.bag" if kind == "ros1" else "a"), entries)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_frame_has_the_depth_the_registered_grey_and_the_calibration_of_its_time(kind: Kind, tmp_path: Path) -> None:
+    path = bag(tmp_path, kind)
+    assert is_recording(path)
+    assert frame_count(path) == 3
+    for index in (0, 2, -1):
+        frame = read_frame(path, options=ReadOptions(index=index))
+        k = index % 3
+        expected = np.where(DEPTH_MM + k > 0, (DEPTH_MM + k) * 0.001, 0).astype(np.float32)
+        np.testing.assert_array_equal(frame.depth, expected)
+        np.testing.assert_array_equal(frame.grey, GREY // (k + 1))
+        np.testing.assert_array_equal(frame.K, K)
+
+
+def test_a_single_mcap_file_is_read(tmp_path: Path) -> None:
+    (path,) = bag(tmp_path, "mcap").glob("*.mcap")
+    assert read_frame(path).depth.shape == (48, 64)
+
+
+def test_floating_point_depth_is_in_metres_in_either_byte_order(tmp_path: Path) -> None:
+    metres = np.where(DEPTH_MM > 0, DEPTH_MM / 1000, np.nan).astype(np.float32)
+    make = Messages("mcap")
+    for big in (False, True):
+        entries = [("/d/image", 1, make.image(metres, "32FC1", big=big)), ("/d/camera_info", 1, make.info())]
+        frame = read_frame(make.write(tmp_path / f"{big}", entries))
+        np.testing.assert_array_equal(frame.depth, np.nan_to_num(metres))
+
+
+def test_a_colour_image_of_another_camera_is_not_taken_but_can_be_named(tmp_path: Path) -> None:
+    make = Messages("mcap")
+    red = np.zeros((48, 64, 3), np.uint8)
+    red[..., 0] = 200
+    entries = [
+        ("/d/image", 1, make.image(DEPTH_MM, "16UC1")),
+        ("/d/camera_info", 1, make.info()),
+        ("/c/image", 2, make.image(red, "rgb8", frame="elsewhere")),
+    ]
+    path = make.write(tmp_path / "a", entries)
+    assert read_frame_with_report(path)[1].grey == "shaded depth"
+    frame, report = read_frame_with_report(path, options=ReadOptions(grey_topic="/c/image"))
+    assert report.grey == "image"
+    assert np.unique(frame.grey).tolist() == [60]  # 0.299 of 200
+    with pytest.raises(ValueError, match="must have images of the topic /e, got /d/image, /c/image"):
+        read_frame(path, options=ReadOptions(grey_topic="/e"))
+
+
+def test_rectified_images_have_the_projection_matrix_and_no_distortion(tmp_path: Path) -> None:
+    make = Messages("mcap")
+    info = make.info(projection=1.5 * K * [[1], [1], [1 / 1.5]], distortion=np.array([0.2, 0, 0, 0, 0]))
+    for topic, focal, undistorted in (("/d/image_rect", 90.0, False), ("/d/image_raw", 60.0, True)):
+        entries = [(topic, 1, make.image(DEPTH_MM, "16UC1")), ("/d/camera_info", 1, info)]
+        frame, report = read_frame_with_report(make.write(tmp_path / topic[3:], entries))
+        assert (frame.K[0, 0], report.undistorted) == (focal, undistorted)
+
+
+@pytest.mark.parametrize("old", [True, False])
+def test_recordings_of_librealsense_state_their_unit(old: bool, tmp_path: Path) -> None:
+    make = Messages("ros1" if old else "sqlite3")
+    sensor = "/device_0/sensor_0"
+    if old:  # up to 2.56
+        entries = [
+            (f"{sensor}/Depth_0/image/data", 5, make.image(DEPTH_MM, "mono16")),
+            (f"{sensor}/Depth_0/info/camera_info", 0, make.info()),
+            (f"{sensor}/option/Depth Units/value", 0, make.number(0.00025)),
+        ]
+    else:
+        text = "width=64;height=48;fx=60;ppx=31.5;fy=61;ppy=23.5;model=Brown Conrady;coeffs=0,0,0,0,0"
+        png = b"\0" * 12 + cv2.imencode(".png", DEPTH_MM)[1].tobytes()
+        entries = [
+            (f"{sensor}/Depth_0/image/data/compressedDepth", 5, make.compressed(png, "16UC1; compressedDepth png")),
+            (f"{sensor}/Depth_0/camera_info", 0, make.text(text)),
+            (f"{sensor}/option/Depth_Units/value", 0, make.text("0.000250")),
+        ]
+    entries += [
+        (f"{sensor}/Infrared_1/image/data", 5, make.image(GREY, "mono8")),
+        (f"{sensor}/Infrared_1/info/camera_info", 0, make.info()),
+    ]
+    frame, report = read_frame_with_report(make.write(tmp_path / ("a.bag" if old else "a"), entries))
+    np.testing.assert_allclose(frame.depth, DEPTH_MM * 0.00025, rtol=1e-6)
+    np.testing.assert_array_equal(frame.K, K)
+    assert report.grey == "shaded depth"  # infrared shows the projector's dots
+
+
+def points_of(depth: np.ndarray) -> np.ndarray:
+    v, u = np.indices(depth.shape)
+    return np.dstack([(u - K[0, 2]) / K[0, 0] * depth, (v - K[1, 2]) / K[1, 1] * depth, depth])
+
+
+def test_an_organised_cloud_gives_its_camera(tmp_path: Path) -> None:
+    make = Messages("sqlite3")
+    layout = {"names": ["x", "y", "z", "rgb"], "formats": 4 * ["f4"], "offsets": [0, 4, 8, 16], "itemsize": 32}
+    table = np.zeros((48, 64), np.dtype(layout))  # the layout of PCL
+    points = points_of(DEPTH_MM / 1000.0)
+    points[DEPTH_MM == 0] = np.nan
+    for k, name in enumerate(("x", "y", "z")):
+        table[name] = points[..., k]
+    packed = (GREY.astype(np.uint32) * 0x010101) | np.uint32(0xFF000000)
+    table["rgb"] = packed.view(np.float32)  # NaN where red >= 128
+    frame, report = read_frame_with_report(make.write(tmp_path / "a", [("/points", 1, make.cloud(table, padding=16))]))
+    assert (report.source, report.K_recovered, report.grey) == ("organised cloud", True, "cloud")
+    np.testing.assert_allclose(frame.K, K, atol=1e-3)
+    np.testing.assert_allclose(frame.depth, DEPTH_MM / 1000, atol=1e-6)
+    np.testing.assert_array_equal(frame.grey, GREY)
+
+
+def test_what_a_recording_lacks_is_told(tmp_path: Path) -> None:
+    make = Messages("mcap")
+    image, info = make.image(DEPTH_MM, "16UC1"), make.info()
+    two = make.write(tmp_path / "two", [("/a/d", 1, image), ("/b/d", 1, image), ("/b/camera_info", 1, info)])
+    with pytest.raises(ValueError, match="one topic of depth images or clouds, got the 2 topics /a/d, /b/d: name one"):
+        read_frame(two)
+    assert read_frame(two, options=ReadOptions(topic="/b/d")).depth.shape == (48, 64)
+    with pytest.raises(ValueError, match=r"two must have the topic /c, got /a/d \(Image\), /b/d \(Image\)"):
+        read_frame(two, options=ReadOptions(topic="/c"))
+    none = make.write(tmp_path / "none", [("/b/camera_info", 1, info)])
+    with pytest.raises(ValueError, match=r"got only /b/camera_info \(CameraInfo\)"):
+        read_frame(none)
+    one = make.write(tmp_path / "one", [("/a/d", 1, image)])
+    with pytest.raises(ValueError, match="index must be one of the 1 frames of one, 0 to 0, got 3"):
+        read_frame(one, options=ReadOptions(index=3))
+    with pytest.raises(ValueError, match="the depth image one needs a calibration"):
+        read_frame(one)
+    assert read_frame(one, calibration=K).depth.shape == (48, 64)
+    with pytest.raises(ValueError, match="/a/d must have the encoding 16UC1 or 32FC1 of depth, got 'mono8'"):
+        read_frame(
+            make.write(tmp_path / "g", [("/a/d", 1, make.image(GREY, "mono8"))]), options=ReadOptions(topic="/a/d")
+        )
+    with pytest.raises(FileNotFoundError, match=r"there is no recording .*lost\.mcap"):
+        read_frame(tmp_path / "lost.mcap")
+
+
+@pytest.mark.parametrize("changes", [{"binning_x": 2}, {"x_offset": 8}])
+def test_images_of_a_part_of_the_sensor_are_refused(changes: dict[str, Any], tmp_path: Path) -> None:
+    make = Messages("mcap")
+    entries = [("/a/d", 1, make.image(DEPTH_MM, "16UC1")), ("/a/camera_info", 1, make.info(**changes))]
+    with pytest.raises(ValueError, match="must be of a whole image without binning"):
+        read_frame(make.write(tmp_path / "a", entries))
+
+
+def test_damaged_recordings_are_refused_by_name(tmp_path: Path) -> None:
+    (path,) = bag(tmp_path, "mcap").glob("*.mcap")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(ValueError, match=r"cut\.mcap must be a complete file"):
+        read_frame(cut)
+    make = Messages("mcap")
+    message = make.image(DEPTH_MM, "16UC1")
+    message.data = message.data[:-10]
+    with pytest.raises(ValueError, match=r"short: /a/d must have 48 rows of at least 128 bytes, got .* 6134 bytes"):
+        read_frame(make.write(tmp_path / "short", [("/a/d", 1, message)]))
+    png = make.compressed(b"nothing", "16UC1; compressedDepth png")
+    with pytest.raises(ValueError, match="must hold 16-bit PNG images, got '16UC1; compressedDepth png'"):
+        read_frame(make.write(tmp_path / "png", [("/a/d", 1, png)]))
+
+
+def test_without_rosbags_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "binpick\[cameras\]"'):
+        read_frame(tmp_path / "a.bag")
