@@ -15,6 +15,7 @@ from binpick_env.parts import load_part
 from perception.s3dis.presets import ROWS
 from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.weights import SHIPPED, find_weights, load_record
+from policies.frames import example_files
 from policies.selection.selectors import load_selector
 from tests.rerun_rows import rows_of
 
@@ -49,8 +50,15 @@ class Line:
         return [line.split("  ")[0] for line in self.shown.splitlines()]
 
 
+def check_example(line: Line) -> None:
+    assert line.shown.splitlines() == [str(line.args.folder / name) for name in example_files()]
+
+
 def check_perceive(line: Line) -> None:
     args = line.args
+    if args.frames[0].parent.name == "demo":  # the frame of `binpick example`
+        _check_demo(line)
+        return
     assert line.shown.count("no part was found: there are no boundary points") == len(args.frames)
     assert line.shown.count("no bin limits the poses") == (len(args.frames) if args.no_bin else 0)
     if args.json is not None:
@@ -58,6 +66,19 @@ def check_perceive(line: Line) -> None:
     for folder in (args.overlay, args.out):
         if folder is not None:
             assert all((folder / f"{path.stem}_poses.png").exists() for path in args.frames)
+
+
+def _check_demo(line: Line) -> None:
+    if line.args.depth_scale is not None:
+        assert "the depth seems to be in millimetres; multiply it by 0.001" in line.shown
+        assert "no part was found" in line.shown
+        return
+    assert "no likely cause of lost parts" in line.shown
+    assert sum(text.endswith("  yes") for text in line.shown.splitlines()) >= 9  # of 12 parts
+    if line.args.overlay is not None:
+        assert (line.folder / line.args.overlay / "depth_poses.png").exists()
+    if line.args.bop is not None:
+        assert len((line.folder / line.args.bop).read_text().splitlines()) >= 10
 
 
 def check_pick(line: Line) -> None:
@@ -257,6 +278,7 @@ TINY = {
     "assess": Tiny(options={**BINS, "--scenes": 1, "--workers": 1}, check=check_assess),
     "compare": Tiny(options={}, check=check_compare),
     "perceive": Tiny(options={}, check=check_perceive),
+    "example": Tiny(options={}, check=check_example),
     "generate-scenes": Tiny(options=SCENES, check=check_generate_scenes),
     "train-segmentation": Tiny(
         options={

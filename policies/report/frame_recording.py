@@ -87,7 +87,7 @@ class FrameRecording:
 
     def _log_bin(self, record: FrameRecord) -> None:
         """Write the inner box of the bin, if there is one."""
-        workspace = record.perceiver.workspace
+        workspace = record.workspace
         if workspace is None:
             return
         T, size = workspace.T_world_bin, workspace.inner_size
