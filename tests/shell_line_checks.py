@@ -51,7 +51,7 @@ class Line:
 
 
 def check_example(line: Line) -> None:
-    assert line.shown.splitlines() == [str(line.args.folder / name) for name in example_files()]
+    assert line.shown.splitlines() == [str(line.args.out / name) for name in example_files()]
 
 
 def check_perceive(line: Line) -> None:

@@ -15,7 +15,7 @@ class Arguments:
     """Copy a small frame with its camera, bin and part into a folder, to try perceive on."""
 
     # folder that the files are copied to
-    folder: Annotated[Path, tyro.conf.Positional] = Path("camera_example")
+    out: Annotated[Path, tyro.conf.Positional] = Path("camera_example")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(args: Arguments) -> int:
     """Copy the files; return the exit code."""
-    return exit_code(lambda: _copy(args.folder), (ValueError, OSError))
+    return exit_code(lambda: _copy(args.out), (ValueError, OSError))
 
 
 def _copy(folder: Path) -> str:
