@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from perception.capture.calibration import Calibration, require_pose
 from perception.capture.calibration_files import calibration_of
@@ -41,13 +41,13 @@ class PointsCamera:
         grab: Returns an (H, W, 3) array of points in the camera frame, NaN or zeros where nothing was measured, or a
             pair of it and a registered (H, W) grey or (H, W, 3) colour image, red first.
         calibration: Camera matrix of the points; None recovers it from each cloud.
-        T_world_cam: (4, 4) camera pose, OpenCV axes.
+        T_world_cam: (4, 4) camera pose, OpenCV axes; lists are accepted.
         options: Unit, axes, crop and turn of the clouds; ``scale=0.001`` for drivers that return millimetres.
     """
 
     grab: Callable[[], Any]
     calibration: Calibration | None = None
-    T_world_cam: ArrayLike = field(default_factory=lambda: np.eye(4))
+    T_world_cam: Floats = field(default_factory=lambda: np.eye(4))
     options: ReadOptions = field(default_factory=ReadOptions)
 
     def capture(self) -> Frame:
@@ -83,7 +83,7 @@ class RealSenseCamera:
         T_world_cam: (4, 4) pose of the depth camera, OpenCV axes.
     """
 
-    def __init__(self, next_frames: Callable[[], Any], *, T_world_cam: ArrayLike | None = None) -> None:
+    def __init__(self, next_frames: Callable[[], Any], *, T_world_cam: Floats | None = None) -> None:
         """Take frames from a source; :meth:`start` opens a camera.
 
         Args:
@@ -99,7 +99,7 @@ class RealSenseCamera:
 
     @classmethod
     def start(
-        cls, *, serial: str | None = None, size: tuple[int, int] = (1280, 720), T_world_cam: ArrayLike | None = None
+        cls, *, serial: str | None = None, size: tuple[int, int] = (1280, 720), T_world_cam: Floats | None = None
     ) -> "RealSenseCamera":
         """Open a camera at 30 frames a second, with depth and colour of one size.
 

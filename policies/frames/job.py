@@ -20,6 +20,8 @@ from policies.frames.frame_record import VERSION, FrameRecord, Values, frame_lin
 from policies.frames.grasp_finder import FrameGrasp, GraspFinder
 from policies.frames.overlay import draw_poses, save_picture
 
+OLDER = {"index": 0}  # options that configurations of older versions lack, as they were
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FrameSource:
@@ -122,7 +124,7 @@ def perceive_frames(
         ValueError: The folder holds results of other options, another part or another network.
     """
     if job.out is not None:
-        ensure_same_config(job.out / "config.json", _configuration(job, perceiver, finder), "poses")
+        ensure_same_config(job.out / "config.json", _configuration(job, perceiver, finder), "poses", assumed=OLDER)
     for path in job.paths:
         yield _stored(job, path) or _perceived(job, path, perceiver, finder)
 

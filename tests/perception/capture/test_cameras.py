@@ -29,7 +29,7 @@ def test_the_points_of_any_driver_become_a_frame(millimetres: bool) -> None:
     scale = 1000.0 if millimetres else 1.0
     camera: Camera = PointsCamera(
         grab=lambda: ((scale * points()).astype(np.float32), RED),
-        T_world_cam=POSE.tolist(),
+        T_world_cam=POSE.tolist(),  # type: ignore[arg-type]
         options=ReadOptions(scale=1 / scale),
     )
     frame = camera.capture()

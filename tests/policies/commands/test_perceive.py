@@ -18,6 +18,7 @@ from perception.segmentation.predictor import SegmentationPredictor
 from policies.frames import frame_perceiver, grasp_finder
 from policies.report import frame_recording
 from tests.perception.block_scene import BIN, ELL, POSES, KnowingPredictor, photographed, true_groups
+from tests.perception.capture.bags import Entry, Messages
 from tests.perception.diagnosis import bin_scene
 from tests.perception.pose.estimator_scene import quick_estimator
 from tests.policies.commands.command_calls import run
@@ -387,3 +388,26 @@ def test_parts_on_a_table_are_found_without_a_bin(folder: Path) -> None:
     (frame,) = frames_in(folder / "full.json")
     assert frame["report"]["bin"]["seen"] == ["floor"]
     assert [pose["verified"] for pose in frame["poses"]] == [True, True]
+
+
+def test_recordings_are_perceived_one_by_one_or_in_a_folder(folder: Path) -> None:
+    make = Messages("mcap")
+    height, width = FRAME.depth.shape
+    entries: list[Entry] = [("/d/camera_info", 0, make.info((width, height), camera=FRAME.K))]
+    for k, frame in enumerate((EMPTY, FRAME)):
+        entries.append(("/d/image", 10 * k + 1, make.image(frame.depth, "32FC1")))
+        entries.append(("/g/image", 10 * k + 2, make.image(frame.grey, "mono8")))
+    (folder / "frames").mkdir()
+    make.write(folder / "frames" / "cell", entries)
+    done = run("perceive", "frames/cell", *IN_BIN, "--index", "-1", "--json", "one.json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    (frame,) = frames_in(folder / "one.json")
+    assert sum(pose["verified"] for pose in frame["poses"]) == 2
+    assert (frame["reading"]["grey"], frame["K"]) == ("image", FRAME.K.tolist())
+    call = ["--frames", "frames", *IN_BIN, "--index", "-1", "--out", "found"]
+    assert run("perceive", *call, cwd=folder).returncode == 0
+    config = json.loads((folder / "found" / "config.json").read_text())
+    assert config.pop("index") == -1
+    (folder / "found" / "config.json").write_text(json.dumps(config))
+    other = run("perceive", *call, cwd=folder)
+    assert "holds poses of another configuration (index: 0 there, -1 here)" in other.stderr
