@@ -1,6 +1,6 @@
 """A frame of a depth camera, and the bin that it shows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +23,15 @@ class Frame:
     """One frame of a calibrated depth camera.
 
     Attributes:
-        grey: (H, W) uint8 grey image, registered to the depth.
+        grey: (H, W) uint8 grey image, registered to the depth; zeros if it is left out or None, for a camera that
+            takes none.
         depth: (H, W) float32 depth along the optical axis [m]; 0 where there is no measurement. Values that are not
             finite and positive become 0.
         K: (3, 3) camera matrix [px] of this image, pixel centres at integers.
         T_world_cam: (4, 4) camera pose, OpenCV axes; a rotation and a translation.
     """
 
-    grey: NDArray[np.uint8]
+    grey: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
     depth: NDArray[np.float32]
     K: Floats
     T_world_cam: Floats
@@ -40,6 +41,8 @@ class Frame:
             object.__setattr__(self, name, as_floats(name, getattr(self, name)))
         for name in ("grey", "depth"):
             object.__setattr__(self, name, np.asarray(getattr(self, name)))
+        if self.grey.ndim == 0 or self.grey.size == 0 < self.depth.size:  # None becomes an array without dimensions
+            object.__setattr__(self, "grey", np.zeros(self.depth.shape, np.uint8))
         if self.depth.ndim != 2 or self.grey.shape != self.depth.shape:
             raise ValueError(
                 f"grey and depth must have the same shape (H, W), got {self.grey.shape} and {self.depth.shape}"
@@ -52,6 +55,11 @@ class Frame:
         require_rigid("T_world_cam", self.T_world_cam)
         clean = np.where(np.isfinite(self.depth) & (self.depth > 0), self.depth, 0).astype(np.float32)
         object.__setattr__(self, "depth", clean)
+
+    @property
+    def has_grey(self) -> bool:
+        """Whether the grey image shows anything: not if all its pixels are alike."""
+        return bool(self.grey.size and np.any(self.grey != self.grey.flat[0]))
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -83,19 +91,23 @@ class Workspace:
         """Map (N, 3) world points into the bin frame."""
         return transform_points(invert_transform(self.T_world_bin), points_world)
 
-    def contains(self, points_world: Floats, *, margin: float = 0.0, headroom: float = 0.0) -> NDArray[np.bool_]:
+    def contains(
+        self, points_world: Floats, *, margin: float = 0.0, headroom: float = 0.0, floor: float | None = None
+    ) -> NDArray[np.bool_]:
         """Return the (N,) mask of world points inside the inner box.
 
         Args:
             points_world: (N, 3) points in the world frame [m].
             margin: Distance by which the box is shrunk at the walls and the floor [m].
             headroom: Height by which the box extends above the rim [m].
+            floor: Distance by which the box is shrunk at the floor [m]; ``margin`` if None.
         """
         points_bin = self.to_bin(points_world)
         half = self.inner_size[:2] / 2 - margin
         beside = np.all(np.abs(points_bin[:, :2]) <= half, axis=1)
         z = points_bin[:, 2]
-        inside: NDArray[np.bool_] = beside & (z >= margin) & (z <= self.inner_size[2] + headroom)
+        lowest = margin if floor is None else floor
+        inside: NDArray[np.bool_] = beside & (z >= lowest) & (z <= self.inner_size[2] + headroom)
         return inside
 
 

@@ -8,17 +8,19 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from perception.bin import BinFit, Trust, check_trust, find_bin, reconcile
-from perception.boundary import BoundaryCloud, extract_boundary
+from perception.boundary import BoundaryCloud, BoundarySettings, extract_boundary
 from perception.diagnosis import BinFacts, FrameReport, PoseCounts, diagnose, log_causes
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats
 from perception.instance import Instance
 from perception.part import PartModel
 from perception.pose.estimator import PoseEstimator
+from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.group_search import GroupSearch
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.explanation import explain_segments
 from perception.segmentation.surface import coarse_surface
+from perception.thickness import part_boundary
 
 if TYPE_CHECKING:  # importing it loads torch, which only a network needs
     from perception.segmentation.predictor import SegmentationPredictor
@@ -66,6 +68,7 @@ class Pipeline:
         workspace: Pose and size of the bin, as they are believed to be.
         measure_bin: Whether the bin's pose is measured in each frame.
         trust: What is corrected where the frame shows the bin elsewhere; see :func:`perception.bin.reconcile`.
+        boundary: Settings of the boundary points.
     """
 
     def __init__(
@@ -76,16 +79,18 @@ class Pipeline:
         *,
         measure_bin: bool = True,
         trust: Trust = "camera",
+        boundary: BoundarySettings | None = None,
     ) -> None:
         """Put the stages together.
 
         Args:
             predictor: Segmentation of boundary points.
-            estimator: Pose estimation of segments.
+            estimator: Pose estimation of segments; it holds its own settings.
             workspace: Pose and size of the bin, as they are believed to be.
             measure_bin: Whether to measure the bin's pose in each frame, starting from that of ``workspace``.
             trust: "camera" if the camera's pose is right and the bin may have moved; "bin" if the bin stands where it
                 is said to be, and what is measured corrects the camera's pose.
+            boundary: Settings of the boundary points; those that suit the part if None.
 
         Raises:
             ValueError: ``trust`` is neither of the two.
@@ -96,10 +101,18 @@ class Pipeline:
         self.workspace = workspace
         self.measure_bin = measure_bin
         self.trust = trust
+        self.boundary = boundary or part_boundary(estimator.part)
 
     @classmethod
     def for_part(
-        cls, part: PartModel, workspace: Workspace, *, measure_bin: bool = True, trust: Trust = "camera"
+        cls,
+        part: PartModel,
+        workspace: Workspace,
+        *,
+        measure_bin: bool = True,
+        trust: Trust = "camera",
+        boundary: BoundarySettings | None = None,
+        estimator: EstimatorConfig | None = None,
     ) -> "Pipeline":
         """Return the pipeline for a part, with the weights of its own or those for every part.
 
@@ -110,6 +123,8 @@ class Pipeline:
             workspace: Pose and size of the bin, as they are believed to be.
             measure_bin: Whether to measure the bin's pose in each frame.
             trust: What is corrected where the frame shows the bin elsewhere; see :class:`Pipeline`.
+            boundary: Settings of the boundary points; those that suit the part if None.
+            estimator: Settings of the pose estimation; the defaults of :class:`EstimatorConfig` if None.
 
         Raises:
             WeightsError: There are neither weights of the part nor for every part.
@@ -117,8 +132,8 @@ class Pipeline:
         """
         from perception.segmentation.predictor import SegmentationPredictor
 
-        predictor, estimator = SegmentationPredictor.for_part(part), PoseEstimator(part, workspace=workspace)
-        return cls(predictor, estimator, workspace, measure_bin=measure_bin, trust=trust)
+        predictor, poses = SegmentationPredictor.for_part(part), PoseEstimator(part, estimator, workspace)
+        return cls(predictor, poses, workspace, measure_bin=measure_bin, trust=trust, boundary=boundary)
 
     def perceive(self, frame: Frame) -> Perception:
         """Return the poses of the parts in a frame; none for an empty bin or a frame without depth.
@@ -142,11 +157,15 @@ class Pipeline:
         def segment(boundary: BoundaryCloud) -> list[Instance]:
             return self.predictor.predict(boundary, coarse_surface(frame, workspace, d_max), d_max)
 
-        return perceive_by(segment, self.estimator, frame, workspace)
+        return perceive_by(segment, self.estimator, frame, workspace, self.boundary)
 
 
 def perceive_by(
-    segment: Callable[[BoundaryCloud], list[Instance]], estimator: PoseEstimator, frame: Frame, workspace: Workspace
+    segment: Callable[[BoundaryCloud], list[Instance]],
+    estimator: PoseEstimator,
+    frame: Frame,
+    workspace: Workspace,
+    settings: BoundarySettings | None = None,
 ) -> Perception:
     """Run the pipeline on a frame with any segmentation.
 
@@ -155,10 +174,11 @@ def perceive_by(
         estimator: Pose estimation of segments.
         frame: Frame of the camera.
         workspace: Pose and size of the bin, which are taken as they are.
+        settings: Settings of the boundary points; those that suit the part if None.
     """
     estimator = estimator.within(workspace)
     clock = [time.perf_counter()]
-    boundary = extract_boundary(frame, workspace)
+    boundary = extract_boundary(frame, workspace, settings or part_boundary(estimator.part))
     clock.append(time.perf_counter())
     segments = segment(boundary)
     clock.append(time.perf_counter())

@@ -34,6 +34,7 @@ from perception.runtime.files import json_text
 from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
 from perception.shape import shape_signature
+from perception.thickness import part_boundary
 
 _log = logging.getLogger(__name__)
 MANY_PARTS = "generated"  # stands for parts of all training families, for the training of one network for every part
@@ -176,7 +177,7 @@ def make_scene(config: SceneConfig, index: int) -> CapturedScene:
     light = draw_light(rng) if config.jitter else None
     appearance = draw_appearance(rng) if config.appearance == "varied" else None
     capture = camera.capture(simulation.data, rng, sensor, light, appearance)
-    boundary = extract_boundary(capture.frame, camera.workspace)
+    boundary = extract_boundary(capture.frame, camera.workspace, part_boundary(model))
     T_world_parts = simulation.part_poses()[:count]
     T_cam_parts = invert_transform(camera.T_world_cam) @ T_world_parts
     scene = BoundaryScene(

@@ -1,21 +1,20 @@
 """The diagnosis of a frame: facts, and likely causes of lost parts."""
 
-from functools import lru_cache
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from perception.boundary import BoundaryCloud, BoundarySettings, extract_boundary
+from perception.depth_edges import depth_noise
 from perception.diagnosis.geometry_causes import Setup, geometry_causes
 from perception.diagnosis.report import Cause, FrameReport, PoseCounts
 from perception.diagnosis.samples import DepthSamples
 from perception.frame import Frame, Workspace, bin_region
-from perception.geometry import Floats
 from perception.part import PartModel
+from perception.thickness import part_boundary, part_thickness
 
 FEWEST_PIXELS = 70  # length of a part in the image below which poses get worse [px]
+LEAST_NOISES = 2.0  # thickness of a part in standard deviations of the depth under which it does not stand out
 SPLITTING_PIXELS = 45  # length below which the segmentation splits parts [px]
 _IN_VIEW = 0.9  # share of the bin's image in the frame below which that is said
 _REGION_SAMPLES = 16_384  # number of pixels of the bin's region that grey levels and the median depth are taken from
@@ -49,7 +48,8 @@ def diagnose(
     Note:
         Takes 1 to 3 ms, and as long as :func:`~perception.boundary.extract_boundary` more if the boundary is not given.
     """
-    boundary = extract_boundary(frame, workspace) if boundary is None else boundary
+    if boundary is None:
+        boundary = extract_boundary(frame, workspace, part_boundary(part))
     samples = DepthSamples.of(frame)
     u0, v0, u1, v1 = bin_region(
         workspace, frame.K, frame.T_world_cam, samples.size, margin=0.0, headroom=BoundarySettings().headroom
@@ -68,11 +68,12 @@ def diagnose(
     sound = not causes
     if samples.missing is not None:
         causes.append(_missing_depth(samples))
-    causes += _exposure(grey if grey.size else frame.grey[::8, ::8])
+    if boundary.source != "depth" or (frame.grey.any() and not frame.has_grey):  # without any, nothing is exposed
+        causes += _exposure(grey if grey.size else frame.grey[::8, ::8])
     measured = depth[samples.measured(depth)]
     measured = measured if len(measured) else samples.depth[samples.measured(samples.depth)]
     pixels = _part_pixels(setup, part, measured)
-    causes += _resolution(part, pixels, len(boundary))
+    causes += _thickness(part, whole * np.float32(setup.scale)) + _resolution(pixels, len(boundary))
     view = 1.0
     if sound:
         fit = setup.fit(samples)
@@ -88,6 +89,7 @@ def diagnose(
         poses=poses,
         causes=tuple(causes),
         in_view=view,
+        boundary_source=boundary.source,
     )
 
 
@@ -137,24 +139,30 @@ def _view(view: float) -> list[Cause]:
     return [Cause(name="partly_outside", text=text)]
 
 
-def _resolution(part: PartModel, pixels: float | None, points: int) -> list[Cause]:
-    """Suspect the part's size: too thin to stand out from the floor, or too small in the image.
+def _thickness(part: PartModel, depth: NDArray[np.float32]) -> list[Cause]:
+    """Suspect the part's thickness if the noise of the (H, W) depth [m] is not much less."""
+    measured = depth[::4, ::4][depth[::4, ::4] > 0]
+    if len(measured) == 0:
+        return []
+    thickness, noise = part_thickness(part), depth_noise(depth) * float(np.median(measured)) ** 2
+    if thickness >= LEAST_NOISES * noise:
+        return []
+    text = (
+        f"the part is {1000 * thickness:.3g} mm thick, and the noise of the depth is {1000 * noise:.2g} mm: parts that "
+        "lie flat on the floor hardly stand out from it; average several frames, or move the camera nearer"
+    )
+    return [Cause(name="thin_part", text=text)]
+
+
+def _resolution(pixels: float | None, points: int) -> list[Cause]:
+    """Suspect the part's size in the image.
 
     Args:
-        part: Part that is searched for.
         pixels: Expected length of a part in the image [px]; None without depth.
         points: Number of boundary points. The outline of a part has at least twice as many as it is long; with fewer
             than its length there is no part in the bin.
     """
     causes = []
-    margin, thickness = BoundarySettings().margin, part_thickness(part)
-    if thickness < margin:
-        text = (
-            f"the part is {1000 * thickness:.3g} mm thick, but boundary points within {1000 * margin:.3g} mm of the "
-            "floor count as the bin's: parts that lie flat on the floor are not seen; lower T_world_bin by "
-            f"{1000 * (margin - thickness) + 1:.0f} mm"
-        )
-        causes.append(Cause(name="thin_part", text=text))
     if pixels is not None and pixels < min(FEWEST_PIXELS, points):
         splits = f" (under {SPLITTING_PIXELS} the segmentation splits parts)" if pixels < SPLITTING_PIXELS else ""
         text = (
@@ -185,14 +193,3 @@ def _floor(part: PartModel, low: float, poses: PoseCounts | None) -> list[Cause]
         "measure its pose again"
     )
     return [Cause(name="floor_height", text=text)]
-
-
-@lru_cache(maxsize=16)
-def part_thickness(part: PartModel) -> float:
-    """Return the least distance of two parallel planes that enclose a part, one of them on a face of its hull [m]."""
-    vertices: Floats = np.asarray(part.mesh.vertices, np.float64)
-    hull = ConvexHull(vertices)
-    corners = vertices[hull.vertices]
-    normals = np.unique(hull.equations[:, :3].round(6), axis=0)
-    blocks = np.array_split(normals, max(len(normals) * len(corners) // 4_000_000, 1))
-    return min(float(np.ptp(corners @ block.T, axis=0).min()) for block in blocks)

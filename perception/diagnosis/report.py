@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
+from perception.boundary import BoundarySource
 from perception.diagnosis.bin_facts import BinFacts
 
 CauseName = Literal[
@@ -21,6 +22,12 @@ CauseName = Literal[
     "floor_height",
     "partly_outside",
 ]
+
+_SOURCES: dict[BoundarySource, str] = {
+    "grey": "",
+    "depth": "; edges of the depth alone",
+    "both": "; edges of the grey image and of the depth",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +90,7 @@ class FrameReport:
         causes: Likely causes, those to settle first first; empty for a good frame.
         bin: What was measured of the bin; None if it was taken as given.
         in_view: Share of the bin's image that lies within the frame, in [0, 1]; 1 where the bin's pose is in doubt.
+        boundary_source: Images that the boundary points were found in: the depth where there is no grey image.
     """
 
     pixels: int
@@ -95,12 +103,14 @@ class FrameReport:
     causes: tuple[Cause, ...]
     bin: BinFacts | None = None
     in_view: float = 1.0
+    boundary_source: BoundarySource = "grey"
 
     def __str__(self) -> str:
         depth = "no depth" if self.median_depth is None else f"median depth {self.median_depth:.4g} m"
         lines = [
             f"bin in the image: {self.pixels} pixels, {100 * self.depth_share:.1f} % with depth, {depth}",
-            f"boundary points: {self.boundary_points} in the bin, {self.outside} edge points outside its box",
+            f"boundary points: {self.boundary_points} in the bin, {self.outside} edge points outside its box"
+            f"{_SOURCES[self.boundary_source]}",
         ]
         if self.bin is not None:
             lines.append(str(self.bin))

@@ -169,9 +169,11 @@ def test_a_frame_without_depth_has_no_points(nothing: float) -> None:
     assert cloud.pixels.shape == (0, 2)
 
 
-def test_a_constant_image_has_no_points() -> None:
+def test_a_grey_image_without_edges_has_no_points() -> None:
     frame, workspace = seen(PLATE)
-    assert len(extract_boundary(replace(frame, grey=np.full_like(frame.grey, 90)), workspace)) == 0
+    plain = np.full_like(frame.grey, 90)
+    plain[:, :4] = 91
+    assert len(extract_boundary(replace(frame, grey=plain), workspace)) == 0
 
 
 def test_a_bin_out_of_view_has_no_points() -> None:

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from perception import pipeline as module
-from perception.boundary import BoundaryCloud, extract_boundary
+from perception.boundary import BoundaryCloud, BoundarySettings, extract_boundary
 from perception.frame import Frame
 from perception.instance import Instance, labels_of
 from perception.metrics.pose_errors import pose_error
 from perception.part import PartModel
 from perception.pipeline import STAGES, Perception, Pipeline, perceive_by
 from perception.pose.estimator import PoseEstimator
+from perception.pose.estimator_config import EstimatorConfig
 from perception.segmentation import weights
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.weights import WeightsError
@@ -166,16 +167,33 @@ def test_a_pipeline_for_a_part_has_its_weights_and_models(monkeypatch: pytest.Mo
         asked.append(part)
         return PREDICTOR
 
-    def estimator(part: object, *, workspace: object) -> PoseEstimator:
-        asked.extend([part, workspace])
+    def estimator(part: object, config: object, workspace: object) -> PoseEstimator:
+        asked.extend([part, config, workspace])
         return ESTIMATOR
 
     monkeypatch.setattr(SegmentationPredictor, "for_part", for_part)
     monkeypatch.setattr(module, "PoseEstimator", estimator)
     made = Pipeline.for_part(ELL, BIN)
-    assert asked == [ELL, ELL, BIN]
+    assert asked == [ELL, ELL, None, BIN]
     assert (made.predictor, made.estimator, made.workspace) == (PREDICTOR, ESTIMATOR, BIN)
+    assert made.boundary == BoundarySettings()
     assert_poses(made.perceive(FRAME))
+    asked.clear()
+    config, settings = EstimatorConfig(min_score=0.3), BoundarySettings(margin=0.004)
+    made = Pipeline.for_part(ELL, BIN, boundary=settings, estimator=config)
+    assert asked == [ELL, ELL, config, BIN]
+    assert made.boundary == settings
+
+
+def test_the_settings_of_the_boundary_are_used() -> None:
+    settings = BoundarySettings(low=60.0, high=200.0)
+    expected = extract_boundary(FRAME, BIN, settings)
+    assert 0 < len(expected) < len(SEEN.boundary)
+    for seen in (
+        Pipeline(PREDICTOR, ESTIMATOR, BIN, measure_bin=False, boundary=settings).perceive(FRAME),
+        perceive_by(true_groups, ESTIMATOR, FRAME, BIN, settings),
+    ):
+        np.testing.assert_array_equal(seen.boundary.points_cam, expected.points_cam)
 
 
 def test_a_part_without_weights_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

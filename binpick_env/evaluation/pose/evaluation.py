@@ -32,6 +32,7 @@ from perception.runtime.provenance import git_commit
 from perception.runtime.records import RecordError
 from perception.runtime.threads import use_threads
 from perception.segmentation.surface import coarse_surface
+from perception.thickness import part_boundary
 
 _log = logging.getLogger(__name__)
 CONFIG_FILE = "pose_evaluation.json"
@@ -196,7 +197,7 @@ def _process_frame(config: PoseEvaluationConfig, method: PoseMethod, captured: C
     """Segment a frame and estimate its poses, and measure the time of each stage."""
     frame, workspace = captured.capture.frame, config.scenes.cell().bin.workspace()
     clock = [time.perf_counter()]
-    boundary = extract_boundary(frame, workspace)
+    boundary = extract_boundary(frame, workspace, part_boundary(method.part))
     clock.append(time.perf_counter())
     surface = coarse_surface(frame, workspace, method.part.d_max) if method.needs_surface else None
     clock.append(time.perf_counter())

@@ -5,7 +5,7 @@ import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.scenes.boundary_quality import wrong_side
 from binpick_env.scenes.synthesis import OLDER_SETTINGS, SceneConfig, is_of_part, make_scene, scene_settings
-from perception.boundary import extract_boundary
+from perception.boundary import BoundarySettings, extract_boundary
 from perception.frame import Frame, Workspace
 from perception.instance import Instance, labels_of
 from perception.runtime.provenance import git_commit
@@ -26,6 +26,7 @@ from perception.runtime.threads import use_threads
 from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.surface import coarse_surface
 from perception.segmentation.weights import load_record
+from perception.thickness import part_boundary
 
 _log = logging.getLogger(__name__)
 CONFIG_FILE = "evaluation.json"
@@ -100,11 +101,12 @@ def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, pictu
     """
     scene, capture = make_scene(config.scenes, index)
     method, workspace = segmenter(config.method), config.scenes.cell().bin.workspace()
+    settings = _boundary_settings(config.scenes.at(index))
     with use_threads(threads):
         if not method.warm:
-            _segment(method, capture.frame, workspace, scene)
+            _segment(method, capture.frame, workspace, scene, settings)
             method.warm = True
-        instances, ms = _segment(method, capture.frame, workspace, scene)
+        instances, ms = _segment(method, capture.frame, workspace, scene, settings)
     wrong, contour = wrong_side(capture, scene.boundary)
     u0, v0, u1, v1 = capture.region if picture else (0, 0, 0, 0)
     return SceneRecord(
@@ -141,12 +143,17 @@ def require_unseen(config: EvaluationConfig) -> None:
                 )
 
 
+@lru_cache(maxsize=1)
+def _boundary_settings(config: SceneConfig) -> BoundarySettings:
+    return part_boundary(config.options().load_part().model)
+
+
 def _segment(
-    method: Segmenter, frame: Frame, workspace: Workspace, scene: BoundaryScene
+    method: Segmenter, frame: Frame, workspace: Workspace, scene: BoundaryScene, settings: BoundarySettings
 ) -> tuple[list[Instance], dict[str, float]]:
     """Return the instances of a frame, and the time of each of `STAGES` [ms]."""
     clock = [time.perf_counter()]
-    boundary = extract_boundary(frame, workspace)
+    boundary = extract_boundary(frame, workspace, settings)
     clock.append(time.perf_counter())
     surface = coarse_surface(frame, workspace, scene.d_max)
     clock.append(time.perf_counter())

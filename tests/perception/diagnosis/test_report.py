@@ -8,9 +8,9 @@ import trimesh
 
 from perception.boundary import extract_boundary
 from perception.diagnosis import Cause, FrameReport, PoseCounts, diagnose, log, log_causes
-from perception.diagnosis.frame_diagnosis import part_thickness
 from perception.geometry import make_transform, random_rotation
 from perception.part import PartModel
+from perception.thickness import part_thickness
 from tests.perception.diagnosis import bin_scene as scene
 
 GOOD = scene.good()[0]

@@ -1,0 +1,191 @@
+"""Depth edges of surfaces worked out by hand."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from perception import _depth_edge_kernels as kernels
+from perception.boundary import BoundarySettings, extract_boundary
+from perception.depth_edges import DepthEdgeSettings, depth_edges, depth_noise
+from perception.frame import Frame
+from perception.geometry import camera_matrix, make_transform, rotation_about
+from tests.perception.flat_scene import FLOOR, K, Plate, bin_at, camera_over, flat, look
+from tests.perception.test_boundary import PIXEL, PLATE, inward, missed, on_plate, seen
+from tests.reference import depth_edges_twin
+
+WIDE = camera_matrix(1200.0, 160, 120)
+SIGMA = 0.0003  # of a good sensor [m]
+
+
+def plane(right: float = 0.0, *, noise: float = 0.0, seed: int = 0, correlation: float = 0.0) -> np.ndarray:
+    """Return the depth of a plane whose right half is nearer by ``right`` [m], with noise of some correlation [px]."""
+    depth = np.full((120, 160), 0.9)
+    depth[:, 80:] -= right
+    errors = np.random.default_rng(seed).normal(size=depth.shape)
+    if correlation:
+        errors = cv2.GaussianBlur(errors, (0, 0), correlation)
+        errors /= errors.std()
+    return (depth + noise * errors).astype(np.float32)
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2, 3])
+def test_a_step_is_a_line_on_the_near_side(turn: int) -> None:
+    """Turned by any number of right angles, it has the same pixels."""
+    found = np.rot90(depth_edges(np.rot90(plane(0.01), turn).copy(), WIDE), -turn)
+    assert found[:, 80].all()
+    assert np.count_nonzero(found) == 120
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_step_of_four_times_the_noise_shows(seed: int) -> None:
+    found = depth_edges(plane(4 * SIGMA, noise=SIGMA, seed=seed), WIDE)
+    assert found[:, 78:82].any(axis=1).mean() > 0.5
+    assert np.count_nonzero(found[:, :74]) + np.count_nonzero(found[:, 86:]) == 0
+
+
+@pytest.mark.parametrize(("noise", "correlation"), [(0.0, 0.0), (SIGMA, 0.0), (0.0012, 1.2), (0.0012, 2.5)])
+def test_noise_has_no_edges(noise: float, correlation: float) -> None:
+    """The errors of a stereo camera are alike over several pixels."""
+    assert not depth_edges(plane(noise=noise, correlation=correlation), WIDE).any()
+
+
+def test_the_near_end_of_flying_pixels_is_the_edge() -> None:
+    depth = plane(0.03)
+    depth[:, 77:80] = [0.8925, 0.885, 0.8775]
+    found = depth_edges(depth, WIDE)
+    assert found[:, 80].all()
+    assert np.count_nonzero(found) == 120
+
+
+def test_a_step_across_missing_depth_is_an_edge() -> None:
+    depth = plane(0.03)
+    depth[:, 60:80] = 0
+    found = depth_edges(depth, WIDE)
+    assert found[:, 80].all()
+    assert np.count_nonzero(found) == 120
+    flat_one = plane()
+    flat_one[40:60, 60:80] = 0
+    assert not depth_edges(flat_one, WIDE).any()
+
+
+def test_a_slope_is_no_edge() -> None:
+    u = np.arange(160) - WIDE[0, 2]
+    steep = 0.9 / (1 - np.tan(np.deg2rad(70)) * u / WIDE[0, 0])  # seen at 70 degrees
+    assert not depth_edges(np.tile(steep, (120, 1)).astype(np.float32), WIDE).any()
+
+
+@pytest.mark.parametrize("noise", [0.0, SIGMA])
+def test_a_crease_is_a_line(noise: float) -> None:
+    """A roof of two sides at 35 degrees."""
+    u = np.abs(np.arange(160) - 80)
+    depth = np.tile(0.9 + np.tan(np.deg2rad(35)) * u * 0.9 / WIDE[0, 0], (120, 1))
+    depth += noise * np.random.default_rng(1).normal(size=depth.shape)
+    found = depth_edges(depth.astype(np.float32), WIDE)
+    assert found[:, 78:83].any(axis=1).mean() > 0.9
+    assert np.count_nonzero(found[:, :72]) + np.count_nonzero(found[:, 88:]) == 0
+    blunt = replace(DepthEdgeSettings(), crease=np.deg2rad(80), step=0.01)
+    assert not depth_edges(depth.astype(np.float32), WIDE, blunt).any()
+
+
+def test_specks_are_no_edges() -> None:
+    depth = plane()
+    depth[50, 60] = 0.8
+    assert not depth_edges(depth, WIDE).any()
+    assert depth_edges(depth, WIDE, DepthEdgeSettings(shortest=1)).any()
+
+
+def test_the_noise_is_measured() -> None:
+    assert depth_noise(plane(noise=0.001)) == pytest.approx(0.001 / 0.81, rel=0.05)
+    assert depth_noise(plane()) == 0.0
+    assert depth_noise(np.zeros((5, 4), np.float32)) == 0.0
+
+
+def test_nothing_is_found_where_nothing_is_measured() -> None:
+    assert not depth_edges(np.zeros((20, 30), np.float32), WIDE).any()
+    assert not depth_edges(np.eye(20, 30, dtype=np.float32), WIDE).any()
+
+
+def test_the_line_fits_are_those_of_the_twin() -> None:
+    depth = plane(0.004, noise=SIGMA)[:6]
+    depth[:, 20:90:7] = 0
+    depth[3, 100:125] = 0
+    arguments = (depth, 1200.0, SIGMA / 0.81, 7, 4.0)
+    expected = depth_edges_twin.row_deviations(*arguments)
+    assert len(expected) > 500
+    np.testing.assert_allclose(kernels.row_deviations(*arguments), expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"step": 0.0}, "step must be positive, got 0.0"),
+        ({"crease": -1.0}, "crease must be positive, got -1.0"),
+        ({"reach": (3, 9)}, r"reach must be \(fewest, most\) pixels from 4 up, got \(3, 9\)"),
+        ({"reach": (9, 8)}, r"got \(9, 8\)"),
+        ({"shortest": 0}, "shortest must be at least 1 px, got 0"),
+    ],
+)
+def test_nonsense_is_refused(change: dict, text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        DepthEdgeSettings(**change)
+
+
+# --- boundary points -------------------------------------------------------------------------------------------------
+
+
+def test_a_frame_without_a_grey_image_has_the_outlines_of_its_depth() -> None:
+    frame, workspace = seen(PLATE, yaw=0.7)
+    blind = Frame(depth=frame.depth, K=frame.K, T_world_cam=frame.T_world_cam)
+    assert frame.has_grey
+    assert not blind.has_grey
+    cloud = extract_boundary(blind, workspace)
+    assert cloud.source == "depth"
+    points_plate = on_plate(frame, workspace, cloud.points_cam)
+    np.testing.assert_allclose(points_plate[:, 2], 0.0, atol=1e-6)
+    assert inward(points_plate).min() >= 0.0
+    assert inward(points_plate).max() < 1.5 * PIXEL
+    assert missed(points_plate).max() < 2.0 * PIXEL
+    for other in (replace(frame, grey=None), replace(frame, grey=np.full_like(frame.grey, 90))):
+        np.testing.assert_array_equal(extract_boundary(other, workspace).pixels, cloud.pixels)
+    chosen = extract_boundary(frame, workspace, BoundarySettings(source="depth"))
+    np.testing.assert_array_equal(chosen.pixels, cloud.pixels)
+
+
+def test_grey_and_depth_edges_complete_each_other() -> None:
+    """A print on a plate shows in the grey image only, a plate as dark as the floor in the depth only."""
+    workspace = bin_at()
+    printed = (PLATE, flat(0.12, -0.04, 0.05001, (0.03, 0.02), 120))
+    dark = flat(-0.1, 0.02, 0.04, (0.06, 0.05), FLOOR.grey)
+    frame = look(workspace, camera_over(workspace), FLOOR, *printed, dark)
+    pixels = {}
+    for source in ("grey", "depth", "both"):
+        cloud = extract_boundary(frame, workspace, BoundarySettings(source=source))
+        assert cloud.source == source
+        pixels[source] = {tuple(p) for p in cloud.pixels}
+    middle = K[0, 2]
+    assert not any(u < middle for u, _ in pixels["grey"])
+    assert any(u < middle for u, _ in pixels["depth"])
+    assert pixels["grey"] < pixels["both"]
+    more = np.array(sorted(pixels["both"] - pixels["grey"]))
+    assert more[:, 0].max() < middle  # the outline that both show is not doubled
+    assert len(more) > 100
+
+
+def test_a_ridge_shows_in_the_depth() -> None:
+    workspace = bin_at()
+    sides = [
+        Plate(T_bin_plate=make_transform(rotation_about((0, 1, 0), s * 0.6), (s * 0.04, 0.0, 0.05)), size=(0.09, 0.1))
+        for s in (-1, 1)
+    ]
+    frame = look(workspace, camera_over(workspace), FLOOR, *sides)
+    cloud = extract_boundary(replace(frame, grey=None), workspace)
+    points_bin = workspace.to_bin(cloud.points_cam @ frame.T_world_cam[:3, :3].T + frame.T_world_cam[:3, 3])
+    on_ridge = (np.abs(points_bin[:, 0]) < 0.005) & (np.abs(points_bin[:, 1]) < 0.045)
+    assert np.count_nonzero(on_ridge) > 30
+
+
+def test_an_unknown_source_is_refused() -> None:
+    with pytest.raises(ValueError, match="source must be one of grey, depth, both, got 'colour'"):
+        BoundarySettings(source="colour")  # type: ignore[arg-type]
