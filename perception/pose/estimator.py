@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from perception.boundary import BoundaryCloud
-from perception.frame import Frame, Workspace
+from perception.depth_edges import depth_noise
+from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import Floats
 from perception.instance import Instance
 from perception.part import PartModel
@@ -24,6 +25,7 @@ from perception.pose.model.appearances import edge_appearances
 from perception.pose.model.edge_models import edge_model
 from perception.pose.model.near_symmetry import near_symmetries
 from perception.pose.model.pair_features import build_table
+from perception.pose.model.slides import slides
 from perception.pose.model.surface_models import surface_model
 from perception.pose.model.thinning import thin_points
 from perception.pose.pose_estimate import PoseEstimate
@@ -37,6 +39,7 @@ from perception.pose.verification.same_surface import SameSurface
 from perception.pose.verification.verification import ObservedGroup
 from perception.runtime.threads import in_threads
 
+NOISE_LAG, NOISE_ROWS = 8, 7  # distance of the depths that tell the noise, and step through the rows [px]
 RIVAL_DISTANCE = 0.25  # share of d_max; poses of a scene whose centres are nearer are about the same points
 
 
@@ -73,6 +76,7 @@ class PoseEstimator:
         self.appearances = edge_appearances(part, self.config.edges)
         self.surface = surface_model(part)
         self.body = body_model(part, self.surface)
+        along = slides(part)
         self._models = ScoringModels(
             part=part,
             edges=self.appearances,
@@ -80,7 +84,7 @@ class PoseEstimator:
             coarse_edges=self.appearances.every(self.config.quick_step),
             coarse_surface=surface_model(part, self.config.quick_spacing),
             perturbations=small_rotations(part),
-            near_symmetries=near_symmetries(part, self.surface, self.config.near_symmetry),
+            near_symmetries=np.concatenate([near_symmetries(part, self.surface, self.config.near_symmetry), along]),
             same_surface=SameSurface(self.surface),
         )
 
@@ -159,8 +163,10 @@ class PoseEstimator:
             clash = any(self.clash(other.T_cam_part, T_cam_part) for other in beside)
             return not clash and self.possible(T_cam_part, frame)
 
+        noise = self._noise(frame)
+
         def search(k: int) -> GroupSearch:
-            group = self._thinned_group(boundary.only(instances[k].point_idx), index, frame)
+            group = self._thinned_group(boundary.only(instances[k].point_idx), index, frame, noise)
             scorer = HypothesisScorer(self._models, group, self.config)
             found = GroupSearch(scorer, self.config, free, k)
             found.add(self._hypotheses(group, self.config.most_hypotheses))
@@ -214,7 +220,7 @@ class PoseEstimator:
         """
         if len(boundary) == 0:
             return []
-        scene = self._thinned_group(boundary, self._index(boundary), frame)
+        scene = self._thinned_group(boundary, self._index(boundary), frame, self._noise(frame))
         found: list[tuple[HypothesisScorer, ScoredHypothesis]] = []
         for T_cam_part in self._hypotheses(scene, self.config.scene_hypotheses):
             scorer = HypothesisScorer(self._models, self._points_near(T_cam_part, scene), self.config)
@@ -272,14 +278,29 @@ class PoseEstimator:
     def _index(self, boundary: BoundaryCloud) -> BoundaryIndex:
         return index_boundary(boundary.points_cam, boundary.tangents_cam, self.part.d_max)
 
-    def _thinned_group(self, points: BoundaryCloud, index: BoundaryIndex, frame: Frame) -> ObservedGroup:
+    def _noise(self, frame: Frame) -> float:
+        """Return the standard deviation of a frame's depth in the bin [m]; 0 where too little is measured."""
+        u0, v0, u1, v1 = (0, 0, frame.depth.shape[1], frame.depth.shape[0])
+        if self.workspace is not None:
+            u0, v0, u1, v1 = bin_region(
+                self.workspace, frame.K, frame.T_world_cam, (u1, v1), margin=0.0, headroom=0.0
+            ).tolist()
+        rows = frame.depth[v0:v1:NOISE_ROWS, u0:u1]
+        measured = rows[rows > 0]
+        return depth_noise(rows, NOISE_LAG) * float(np.median(measured)) ** 2 if len(measured) else 0.0
+
+    def _thinned_group(self, points: BoundaryCloud, index: BoundaryIndex, frame: Frame, noise: float) -> ObservedGroup:
         """Return boundary points, thinned like the model's, as the group that hypotheses have to explain."""
         edges = self.config.edges
         kept = thin_points(
             points.points_cam, points.tangents_cam, edges.thinning * self.part.d_max, edges.thinning_angle
         )
         return ObservedGroup(
-            points_cam=points.points_cam[kept], tangents_cam=points.tangents_cam[kept], boundary=index, frame=frame
+            points_cam=points.points_cam[kept],
+            tangents_cam=points.tangents_cam[kept],
+            boundary=index,
+            frame=frame,
+            noise=noise,
         )
 
     def _points_near(self, T_cam_part: Floats, scene: ObservedGroup) -> ObservedGroup:

@@ -12,7 +12,8 @@ from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.model.appearances import EdgeAppearances
 from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.pose_estimate import PoseEstimate
-from perception.pose.verification.confidence import confidence
+from perception.pose.verification.confidence import confidence, mismatch_penalty
+from perception.pose.verification.mismatch import find_mismatch
 from perception.pose.verification.perturbation import score_drop
 from perception.pose.verification.refinement import refine_edges, refine_surface
 from perception.pose.verification.same_surface import SameSurface
@@ -30,7 +31,8 @@ class ScoringModels:
         coarse_edges: The same views with fewer edge points.
         coarse_surface: The same surface with fewer samples.
         perturbations: (K, 4, 4) small rotations in the part frame, for the score drop.
-        near_symmetries: (S, 4, 4) motions in the part frame after which the part looks nearly the same.
+        near_symmetries: (S, 4, 4) motions in the part frame after which the part looks nearly the same; slides of a
+            long part along its axis are among them.
         same_surface: Tells poses apart that differ in their surface.
     """
 
@@ -137,16 +139,19 @@ class HypothesisScorer:
         close[close] = ~self._models.same_surface.of(best.T_cam_part, poses[close])
         elsewhere = verdict.logit - float(logits[close].max(initial=-np.inf))
         size = max(len(self._group.points_cam), 1)
+        mismatch = find_mismatch(best.T_cam_part, self._models.surface, self._group, config.verification)
+        penalty = mismatch_penalty(mismatch, self._group.noise, config.confidence)
         return PoseEstimate(
             T_cam_part=best.T_cam_part,
-            score=confidence(verdict, margin, drop, size, config.confidence),
+            score=confidence(verdict, margin, drop, size, config.confidence, penalty),
             instance_idx=instance_idx,
             visible_fraction=verdict.visible_fraction,
             verdict=verdict,
             margin=margin,
             score_drop=drop,
             size=len(self._group.points_cam),
-            surface_score=confidence(verdict, elsewhere, np.inf, size, config.confidence),
+            surface_score=confidence(verdict, elsewhere, np.inf, size, config.confidence, penalty),
+            mismatch=mismatch,
         )
 
     def _scored(self, T_cam_part: Floats, *, final: bool) -> ScoredHypothesis:

@@ -1,8 +1,9 @@
 """The result of pose estimation: where a part is, and how likely that is right."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from perception.geometry import Floats, require_shape
+from perception.pose.verification.mismatch import Mismatch
 from perception.pose.verification.verification import Verdict
 
 
@@ -25,6 +26,7 @@ class PoseEstimate:
             surface counted against it, in [0, 1]; with the coefficients of the default configuration at least
             ``score``. It tells which poses are likely enough to grasp at, and is no measure of their accuracy: a screw
             whose turn about its axis cannot be seen can still be picked.
+        mismatch: What only the model or only the scene has in this pose; much of it lowers both scores.
     """
 
     T_cam_part: Floats
@@ -36,6 +38,7 @@ class PoseEstimate:
     score_drop: float
     size: int
     surface_score: float
+    mismatch: Mismatch = field(default_factory=Mismatch)
 
     def __post_init__(self) -> None:
         require_shape("T_cam_part", self.T_cam_part, (4, 4))

@@ -72,12 +72,14 @@ class ObservedGroup:
         tangents_cam: (N, 3) unit tangents of these points, sign arbitrary.
         boundary: Index of all boundary points of the frame; an edge may have been assigned to another group.
         frame: Depth image and camera.
+        noise: Standard deviation of the frame's depth [m].
     """
 
     points_cam: Floats
     tangents_cam: Floats
     boundary: BoundaryIndex
     frame: Frame
+    noise: float = 0.0
 
     def only(self, chosen: NDArray[np.int64]) -> "ObservedGroup":
         """Return the group of some of the points, chosen by their indices, in the same frame."""
@@ -145,7 +147,7 @@ def verify(
     require_depth(group.frame)
     edge_score, explained = edge_scores(T, edges, group, config)
     gaps, measured = _gaps(T, surface, group.frame, config.window)
-    tolerance = _tolerance(edges.d_max, config)
+    tolerance = surface_tolerance(edges.d_max, config)
     support = float(np.mean(np.abs(gaps) <= tolerance)) if len(gaps) else 0.0
     violation = float(np.mean(gaps > tolerance)) if len(gaps) else 0.0
     return Verdict(
@@ -177,7 +179,7 @@ def edge_scores(
     gate, min_cosine = config.edge_distance * edges.d_max, float(np.cos(config.edge_angle))
     matches = group.boundary.match(T, points, tangents, gate=gate, max_angle=config.edge_angle)
     occluded = _verification_kernels.occluded_points(
-        T, points, matches, group.frame.depth, group.frame.K, _tolerance(edges.d_max, config), OCCLUSION_RADIUS
+        T, points, matches, group.frame.depth, group.frame.K, surface_tolerance(edges.d_max, config), OCCLUSION_RADIUS
     )
     matched, visible = np.count_nonzero(matches >= 0), len(points) - np.count_nonzero(occluded)
     explained = _verification_kernels.explained_points(
@@ -199,7 +201,8 @@ def ranking_logit(
     )
 
 
-def _tolerance(d_max: float, config: VerificationConfig) -> float:
+def surface_tolerance(d_max: float, config: VerificationConfig) -> float:
+    """Return the largest distance between the model's surface and the measured one with which they agree [m]."""
     return max(config.surface_distance * d_max, 3 * config.noise)
 
 

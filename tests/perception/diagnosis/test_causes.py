@@ -43,6 +43,13 @@ def smaller(factor: float) -> Frame:
     return Frame(grey=grey, depth=depth, K=K, T_world_cam=GOOD.T_world_cam)
 
 
+def plain(frame: Frame) -> np.ndarray:
+    """Return a grey image without any edge."""
+    grey = np.full_like(frame.grey, 120)
+    grey[:, 0] = 121
+    return grey
+
+
 SPOILED: dict[str, tuple[Callable[[], tuple[Frame, Workspace]], list[str], str]] = {
     "depth in millimetres": (
         lambda: (replace(GOOD, depth=1000 * GOOD.depth), scene.BIN),
@@ -160,7 +167,7 @@ SPOILED: dict[str, tuple[Callable[[], tuple[Frame, Workspace]], list[str], str]]
         "no likely cause of lost parts",
     ),
     "empty, and a third of the pixels": (
-        lambda: (replace(smaller(1 / 3), grey=np.full_like(smaller(1 / 3).grey, 120)), scene.BIN),
+        lambda: (replace(smaller(1 / 3), grey=plain(smaller(1 / 3))), scene.BIN),
         [],
         "no likely cause of lost parts",
     ),

@@ -10,8 +10,10 @@ from perception.pose.verification.confidence import (
     ConfidenceConfig,
     confidence,
     confidences,
+    mismatch_penalty,
     predictors,
 )
+from perception.pose.verification.mismatch import Mismatch
 from perception.pose.verification.verification import Verdict
 
 VERDICT = Verdict(edge_score=0.5, explained=0.25, support=0.75, violation=0.125, measured=0.9, logit=1.0)
@@ -78,7 +80,9 @@ def test_predictors_by_hand() -> None:
 
 def test_each_coefficient_weighs_its_own_predictor() -> None:
     values = np.array([[0.5, 0.75, 0.125, 2.0, 1.0, 1.5, 0.875, np.log(7)]])
-    assert set(COEFFICIENTS) == {f.name for f in fields(PLAIN)} - {"bias", "clear", "close"}
+    limits = {"clear", "close", "patch", "stray", "noise"}
+    penalties = {"patch_weight", "stray_weight", "noise_weight"}
+    assert set(COEFFICIENTS) == {f.name for f in fields(PLAIN)} - {"bias"} - limits - penalties
     for place, name in enumerate(COEFFICIENTS):
         only = replace(PLAIN, bias=0.0, **(dict.fromkeys(COEFFICIENTS, 0.0) | {name: 1.0}))
         assert confidences(values, only) == pytest.approx([logistic(values[0, place])]), name
@@ -100,6 +104,38 @@ def test_agreement_raises_the_confidence_and_violation_lowers_it() -> None:
     assert confidence(VERDICT, 0.0, DROP, 60) < sure < confidence(VERDICT, 2.0, DROP, 60)
     assert confidence(VERDICT, 1.0, DROP, 20) < sure < confidence(VERDICT, 1.0, DROP, 200)
     assert confidence(VERDICT, 1.0, 0.5, 60) < sure < confidence(VERDICT, 1.0, 2.5, 60)
+
+
+@pytest.mark.parametrize(("name", "more"), [("patch", 3), ("stray", 0.05), ("noise", 0.0005)])
+def test_structure_that_does_not_match_and_noise_lower_the_confidence(name: str, more: float) -> None:
+    sure, config = confidence(VERDICT, 1.0, DROP, 60), ConfidenceConfig()
+
+    def lowered(value: float) -> float:
+        values = {"patch": 0, "stray": 0.0, "noise": 0.0} | {name: value}
+        noise = values.pop("noise")
+        penalty = mismatch_penalty(Mismatch(**values), noise, config)
+        return confidence(VERDICT, 1.0, DROP, 60, penalty=penalty)
+
+    limit = getattr(config, name)
+    assert lowered(limit) == sure
+    lower = lowered(limit + more)
+    drop = np.log(sure / (1 - sure)) - np.log(lower / (1 - lower))
+    assert drop == pytest.approx(-more * getattr(config, f"{name}_weight"))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("patch", -1, "patch must not be negative, got -1"),
+        ("stray", np.inf, "stray must not be negative, got inf"),
+        ("noise", -0.1, "noise must not be negative, got -0.1"),
+        ("patch_weight", 0.1, "patch_weight must be 0 or less, got 0.1"),
+        ("stray_weight", -np.inf, "stray_weight must be 0 or less, got -inf"),
+    ],
+)
+def test_a_mismatch_that_helps_is_refused(name: str, value: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(PLAIN, **{name: value})
 
 
 def test_extremes_stay_in_bounds() -> None:

@@ -1,0 +1,41 @@
+"""The noise of a frame, and what it costs the scores."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from perception.frame import Frame
+from perception.pose.estimator_config import EstimatorConfig
+from perception.pose.verification.confidence import ConfidenceConfig
+from tests.perception.pose import observed_part as at
+from tests.perception.pose.estimator_scene import quick_estimator, scene_of
+
+ELL = at.ell()
+POSE = at.random_pose(ELL, np.random.default_rng(3))
+
+
+def noisy(frame: Frame, sigma: float) -> Frame:
+    errors = np.random.default_rng(1).normal(size=frame.depth.shape)
+    return replace(frame, depth=(frame.depth + sigma * errors).astype(np.float32))
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.0005, 0.002])
+def test_the_noise_of_a_frame_is_measured(sigma: float) -> None:
+    estimator = quick_estimator(ELL, EstimatorConfig())
+    frame = noisy(at.look_at(at.placed(ELL, POSE)), sigma)
+    assert estimator._noise(frame) == pytest.approx(sigma, rel=0.25, abs=0.0002)
+    assert estimator._noise(at.framed(np.zeros(at.SIZE[::-1], np.float32))) == 0.0
+
+
+def test_noise_lowers_the_scores_and_changes_no_pose() -> None:
+    scene = scene_of(ELL, POSE)
+    frame = noisy(scene.frame, 0.002)
+    blind = EstimatorConfig(confidence=ConfidenceConfig(noise_weight=0.0))
+    scores = []
+    for config in (EstimatorConfig(), blind):
+        (estimate,) = quick_estimator(ELL, config).estimate_groups(scene.boundary, scene.groups(), frame)
+        assert estimate is not None
+        scores.append((estimate.score, estimate.T_cam_part.tobytes()))
+    assert scores[0][0] < scores[1][0]
+    assert scores[0][1] == scores[1][1]
