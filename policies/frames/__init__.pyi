@@ -1,8 +1,8 @@
 from .bin_settings import BinSettings as BinSettings
 from .bop import BopNames as BopNames
 from .bop import save_bop_results as save_bop_results
-from .example_files import copy_example as copy_example
-from .example_files import example_files as example_files
+from .example_frame import copy_example as copy_example
+from .example_frame import example_files as example_files
 from .frame_files import frames_in as frames_in
 from .frame_perceiver import FramePerceiver as FramePerceiver
 from .frame_perceiver import workspace_of_depth as workspace_of_depth

@@ -9,7 +9,7 @@ import trimesh
 from perception.capture import read_frame
 from policies.commands import example
 from policies.frames import copy_example, example_files
-from policies.frames.example_files import SOURCE
+from policies.frames.example_frame import SOURCE
 
 MOST_BYTES = 300_000
 
