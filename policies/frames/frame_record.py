@@ -161,7 +161,7 @@ def _grasp_lines(record: FrameRecord, grasps: Sequence[FrameGrasp]) -> list[str]
     known = any(found.reachable is not None for found in best.values())
     count = f"grasps clear of everything else on {len(best)} of {len(record.seen.poses)} parts"
     lines = [f"{count}, {within} of these within reach" if known else count]
-    T_cam_world = invert_transform(record.frame.T_world_cam)
+    T_cam_world = invert_transform(record.T_world_cam)
     rows: list[tuple[str, ...]] = [GRASP_HEADER]
     for pose, found in sorted(best.items()):
         grasp, reachable = found.grasp, {None: "unknown", True: "yes", False: "no"}[found.reachable]

@@ -4,6 +4,7 @@ The module needs Rerun, which comes with the extra ``viz``; it is imported only 
 entities are below ``world`` in the world frame [m]. The timeline is ``frame``, the number of the frame.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -57,7 +58,7 @@ class FrameRecording:
 
     def add(self, record: FrameRecord) -> None:
         """Write a frame, the segments and verified poses found in it, the grasps on them, and what is printed of it."""
-        stream, frame = self._stream, record.frame
+        stream, frame = self._stream, replace(record.frame, T_world_cam=record.T_world_cam)
         if self._count == 0:
             self._log_shape(record)
         stream.set_time("frame", sequence=self._count)
