@@ -15,6 +15,8 @@ from perception.geometry import Floats, require_shape, transform_points
 BoundarySource = Literal["grey", "depth", "both"]
 THIN = 0.0005  # height by which the top of a part must exceed the margin, for the sake of noise [m]
 _SAME = 2  # a depth edge this near to a boundary point of a grey edge is the same edge [px]
+COVERED = 0.001  # standard deviation of the bin's position that the margin covers [m]
+UNCERTAIN = 1.0  # standard deviations beyond it by which the box of kept points grows, for each
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -154,7 +156,12 @@ def extract_boundary(frame: Frame, workspace: Workspace, settings: BoundarySetti
     flat = np.unique(edges[:, 1] * size[0] + edges[:, 0])
     pixels = np.column_stack([flat % size[0], flat // size[0]])
     points_world = transform_points(frame.T_world_cam, organised_points(frame, pixels))
-    inside = workspace.contains(points_world, margin=settings.margin, headroom=settings.headroom, floor=settings.floor)
+    # Parts may seem to lie in a floor or a wall whose place is uncertain.
+    uncertain = UNCERTAIN * max(workspace.translation_std - COVERED, 0.0)
+    floor = (settings.margin if settings.floor is None else settings.floor) - uncertain
+    inside = workspace.contains(
+        points_world, margin=settings.margin - uncertain, headroom=settings.headroom, floor=floor
+    )
     outside = int(np.count_nonzero(~inside))
     return replace(_cloud(frame, pixels[inside], settings), outside=outside, source=source)
 

@@ -74,10 +74,14 @@ class Workspace:
     Attributes:
         T_world_bin: (4, 4) pose of the bin; a rotation and a translation.
         inner_size: (3,) inner length, width and height of the bin along its x, y and z [m].
+        translation_std: Standard deviation of the bin's position, as the camera sees it [m]; 0 if it is exact.
+        rotation_std: Standard deviation of its orientation [rad]; 0 if it is exact.
     """
 
     T_world_bin: Floats
     inner_size: Floats
+    translation_std: float = 0.0
+    rotation_std: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("T_world_bin", "inner_size"):
@@ -86,6 +90,16 @@ class Workspace:
         require_shape("inner_size", self.inner_size, (3,))
         if not np.all(self.inner_size > 0):
             raise ValueError(f"inner_size must be positive, got {self.inner_size.tolist()}")
+        for name in ("translation_std", "rotation_std"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be 0 or more and finite, got {getattr(self, name)}")
+
+    def std_at(self, point_world: Floats) -> float:
+        """Return the standard deviation of the place of the bin's surfaces near a (3,) point [m]."""
+        if self.translation_std == self.rotation_std == 0:
+            return 0.0
+        lever = float(np.linalg.norm(point_world - self.T_world_bin[:3, 3]))
+        return float(np.hypot(self.translation_std, self.rotation_std * lever))
 
     def to_bin(self, points_world: Floats) -> Floats:
         """Map (N, 3) world points into the bin frame."""

@@ -176,7 +176,8 @@ def perceive_by(
         workspace: Pose and size of the bin, which are taken as they are.
         settings: Settings of the boundary points; those that suit the part if None.
     """
-    estimator = estimator.within(workspace)
+    if estimator.workspace is not None:  # otherwise no bin is to limit the poses
+        estimator = estimator.within(workspace)
     clock = [time.perf_counter()]
     boundary = extract_boundary(frame, workspace, settings or part_boundary(estimator.part))
     clock.append(time.perf_counter())

@@ -11,7 +11,7 @@ from perception.bin.refinement import BinState
 from perception.geometry import Floats, invert_transform, make_transform, transform_points
 
 FARTHEST, STEEPEST = 0.15, np.deg2rad(15.0)  # how far off the pose that a search starts from may be [m and rad]
-_TILT = np.deg2rad(50.0)  # largest angle between the optical axis and the bin's, where nothing else is known [rad]
+_TILT = np.deg2rad(70.0)  # largest angle between the optical axis and the bin's, where nothing else is known [rad]
 _SLAB = 0.06  # height above and below the stated rim in which it is looked for [m]
 _LEVEL, _LEVEL_SHARE, _LEVELS = 0.002, 0.01, 8  # width of a level [m], its least share of the points, number of levels
 _PARALLEL = np.deg2rad(3.0)  # largest angle between a rim and a floor or a table [rad]

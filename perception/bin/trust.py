@@ -16,8 +16,14 @@ def check_trust(trust: str) -> None:
         raise ValueError(f"trust must be one of {', '.join(get_args(Trust))}, got {trust!r}")
 
 
+UNSEEN_STD = 0.005, 0.026  # standard deviations of a pose that could not be measured [m], [rad]: 5 mm, 1.5 degrees
+
+
 def reconcile(frame: Frame, workspace: Workspace, fit: BinFit, trust: Trust) -> tuple[Frame, Workspace]:
-    """Return a frame and its bin so that the bin stands where the frame shows it; unchanged if the fit is unreliable.
+    """Return a frame and its bin so that the bin stands where the frame shows it.
+
+    The bin returned has the uncertainty of the fit. If the fit is unreliable, the poses stay as they are, and the bin's
+    is uncertain by 5 mm and 1.5 degrees.
 
     Args:
         frame: Frame of the camera.
@@ -31,8 +37,10 @@ def reconcile(frame: Frame, workspace: Workspace, fit: BinFit, trust: Trust) -> 
     """
     check_trust(trust)
     if not fit.reliable or fit.T_world_bin is None:
-        return frame, workspace
+        translation_std, rotation_std = UNSEEN_STD
+        return frame, replace(workspace, translation_std=translation_std, rotation_std=rotation_std)
+    measured = replace(workspace, translation_std=fit.translation_std, rotation_std=fit.rotation_std)
     if trust == "camera":
-        return frame, replace(workspace, T_world_bin=fit.T_world_bin)
+        return frame, replace(measured, T_world_bin=fit.T_world_bin)
     T_bin_cam = invert_transform(fit.T_world_bin) @ frame.T_world_cam
-    return replace(frame, T_world_cam=workspace.T_world_bin @ T_bin_cam), workspace
+    return replace(frame, T_world_cam=workspace.T_world_bin @ T_bin_cam), measured

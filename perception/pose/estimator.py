@@ -39,6 +39,7 @@ from perception.pose.verification.same_surface import SameSurface
 from perception.pose.verification.verification import ObservedGroup
 from perception.runtime.threads import in_threads
 
+FARTHEST = 4.0  # distance through the bin's surfaces beyond the tolerance that is impossible [standard deviations]
 NOISE_LAG, NOISE_ROWS = 8, 7  # distance of the depths that tell the noise, and step through the rows [px]
 RIVAL_DISTANCE = 0.25  # share of d_max; poses of a scene whose centres are nearer are about the same points
 
@@ -64,7 +65,8 @@ class PoseEstimator:
         Args:
             part: Part to search for; its mesh must enclose a volume.
             config: Settings; the defaults of :class:`EstimatorConfig` if None.
-            workspace: The bin, if it is known. Poses that reach through its floor or walls are then impossible.
+            workspace: The bin, if it is known. Poses that reach through its floor or walls lose score, and
+                are impossible where its pose is exact.
 
         Raises:
             ValueError: The part's mesh is empty, open or turned inside out.
@@ -89,9 +91,7 @@ class PoseEstimator:
         )
 
     def within(self, workspace: Workspace) -> "PoseEstimator":
-        """Return this estimator for another bin, with the same models; itself if it knows no bin."""
-        if self.workspace is None or self.workspace is workspace:
-            return self
+        """Return this estimator for another bin, with the same models."""
         other = copy(self)
         other.workspace = workspace
         return other
@@ -159,16 +159,16 @@ class PoseEstimator:
             return []
         index = self._index(boundary)
 
-        def free(T_cam_part: Floats) -> bool:
+        def penalty(T_cam_part: Floats) -> float:
             clash = any(self.clash(other.T_cam_part, T_cam_part) for other in beside)
-            return not clash and self.possible(T_cam_part, frame)
+            return np.inf if clash else self.penalty(T_cam_part, frame)
 
         noise = self._noise(frame)
 
         def search(k: int) -> GroupSearch:
             group = self._thinned_group(boundary.only(instances[k].point_idx), index, frame, noise)
             scorer = HypothesisScorer(self._models, group, self.config)
-            found = GroupSearch(scorer, self.config, free, k)
+            found = GroupSearch(scorer, self.config, penalty, k)
             found.add(self._hypotheses(group, self.config.most_hypotheses))
             found.best()  # does the work here, on a thread of its own; the selection asks again
             return found
@@ -225,8 +225,9 @@ class PoseEstimator:
         for T_cam_part in self._hypotheses(scene, self.config.scene_hypotheses):
             scorer = HypothesisScorer(self._models, self._points_near(T_cam_part, scene), self.config)
             hypothesis = scorer.refine_fully(T_cam_part)
-            if self.possible(hypothesis.T_cam_part, frame):
-                found.append((scorer, hypothesis))
+            penalty = self.penalty(hypothesis.T_cam_part, frame)
+            if np.isfinite(penalty):
+                found.append((scorer, replace(hypothesis, penalty=penalty)))
         poses = [hypothesis.T_cam_part for _, hypothesis in found]
         centres = np.array([T[:3, :3] @ self.part.centre + T[:3, 3] for T in poses]).reshape(-1, 3)
         estimates = []
@@ -256,12 +257,23 @@ class PoseEstimator:
                 verified.append(estimate)
         return verified
 
-    def possible(self, T_cam_part: Floats, frame: Frame) -> bool:
-        """Return whether a part in a (4, 4) pose lies within the bin; True if the bin is not known."""
+    def penalty(self, T_cam_part: Floats, frame: Frame) -> float:
+        """Return what a (4, 4) pose's penetration of the bin takes off its logit; 0 if the bin is not known.
+
+        It is the negative logarithm of the likelihood that the bin's pose is off by that much, and infinite where this
+        is practically impossible: beyond the tolerance, if the bin's pose is exact.
+        """
         if self.workspace is None:
-            return True
-        protrusion = self.body.protrusion(frame.T_world_cam @ T_cam_part, self.workspace)
-        return protrusion <= self.config.bodies.protrusion * self.part.d_max
+            return 0.0
+        T_world_part = frame.T_world_cam @ T_cam_part
+        bodies, d_max = self.config.bodies, self.part.d_max
+        excess = self.body.protrusion(T_world_part, self.workspace) - bodies.protrusion * d_max
+        if excess <= 0:
+            return 0.0
+        std = self.workspace.std_at(T_world_part[:3, :3] @ self.part.centre + T_world_part[:3, 3])
+        if excess > FARTHEST * std:
+            return np.inf
+        return 0.5 * (excess / std) ** 2
 
     def clash(self, T_cam_a: Floats, T_cam_b: Floats) -> bool:
         """Return whether two parts in (4, 4) poses would collide; like poses are of one part and do not."""

@@ -3,12 +3,15 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from perception.geometry import Floats
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.hypothesis_scoring import HypothesisScorer, ScoredHypothesis
 from perception.pose.pose_estimate import PoseEstimate
 
 Condition = Callable[[Floats], bool]  # of a (4, 4) T_cam_part
+Penalty = Callable[[Floats], float]  # of a (4, 4) T_cam_part; infinite for a pose that is impossible
 
 
 class GroupSearch:
@@ -18,20 +21,18 @@ class GroupSearch:
     `rule_out` removes hypotheses that the pose of another group makes impossible; `best` then returns the next best.
     """
 
-    def __init__(
-        self, scorer: HypothesisScorer, config: EstimatorConfig, possible: Condition, instance_idx: int
-    ) -> None:
+    def __init__(self, scorer: HypothesisScorer, config: EstimatorConfig, penalty: Penalty, instance_idx: int) -> None:
         """Start without any hypothesis.
 
         Args:
             scorer: Refines and scores hypotheses about the group.
             config: Numbers of hypotheses to try and to refine fully.
-            possible: Whether a part can be in a pose; other hypotheses are dropped.
+            penalty: What is taken off the logit of a pose; hypotheses for which it is infinite are dropped.
             instance_idx: Index of the group.
         """
         self._scorer = scorer
         self._config = config
-        self._possible = possible
+        self._penalty = penalty
         self._instance_idx = instance_idx
         self._hypotheses: list[ScoredHypothesis] = []
         self._score_drops: dict[ScoredHypothesis, float] = {}  # of the best ones so far: each takes several verdicts
@@ -43,11 +44,12 @@ class GroupSearch:
         config = self._config
         for T_cam_part in poses:
             enough = len(self._hypotheses) >= config.hypotheses
-            if enough and max(found.verdict.score for found in self._hypotheses) >= config.sure:
+            if enough and any(found.verdict.score >= config.sure and not found.penalty for found in self._hypotheses):
                 break
             found = self._scorer.refine_coarsely(T_cam_part)
-            if self._possible(found.T_cam_part):
-                self._hypotheses.append(found)
+            penalised = self._penalised(found)
+            if penalised is not None:
+                self._hypotheses.append(penalised)
             elif self._best_impossible is None or found.logit > self._best_impossible.logit:
                 self._best_impossible = found
 
@@ -73,8 +75,8 @@ class GroupSearch:
         best = self._hypotheses[0]
         if best not in self._score_drops:
             # Voting may have found one of two near-symmetric poses and missed the right one.
-            similar = self._scorer.near_symmetric(best)
-            self._hypotheses += [found for found in similar if self._allowed(found.T_cam_part)]
+            similar = [self._allowed(found) for found in self._scorer.near_symmetric(best)]
+            self._hypotheses += [found for found in similar if found is not None]
             self._refine_finalists()
             best = self._hypotheses[0]
             self._score_drops[best] = self._scorer.score_drop(best)
@@ -92,14 +94,22 @@ class GroupSearch:
         self._sort()
         for k, coarse in enumerate(self._hypotheses[: self._config.finalists]):
             if not coarse.final:
-                fine = self._scorer.refine_fully(coarse.T_cam_part)
-                better = fine.logit >= coarse.logit and self._allowed(fine.T_cam_part)
-                self._hypotheses[k] = fine if better else replace(coarse, final=True)
+                fine = self._allowed(self._scorer.refine_fully(coarse.T_cam_part))
+                if fine is None or fine.logit < coarse.logit:
+                    fine = replace(coarse, final=True)
+                self._hypotheses[k] = fine
         self._sort()
 
     def _sort(self) -> None:
         self._hypotheses.sort(key=lambda found: found.logit, reverse=True)
 
-    def _allowed(self, T_cam_part: Floats) -> bool:
-        """Return whether a pose is possible and not ruled out."""
-        return self._possible(T_cam_part) and not any(impossible(T_cam_part) for impossible in self._ruled_out)
+    def _penalised(self, found: ScoredHypothesis) -> ScoredHypothesis | None:
+        """Return a hypothesis with its penalty; None if its pose is impossible."""
+        penalty = self._penalty(found.T_cam_part)
+        return replace(found, penalty=penalty) if np.isfinite(penalty) else None
+
+    def _allowed(self, found: ScoredHypothesis) -> ScoredHypothesis | None:
+        """Return a hypothesis with its penalty; None if its pose is impossible or ruled out."""
+        if any(impossible(found.T_cam_part) for impossible in self._ruled_out):
+            return None
+        return self._penalised(found)

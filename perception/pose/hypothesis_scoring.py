@@ -54,16 +54,18 @@ class ScoredHypothesis:
         T_cam_part: (4, 4) pose of the part in the camera frame.
         verdict: Agreement of the pose with the boundary points and the depth image.
         final: Whether the full refinement has been tried.
+        penalty: What the pose's penetration of the bin takes off the logit; 0 within the bin.
     """
 
     T_cam_part: Floats
     verdict: Verdict
     final: bool
+    penalty: float = 0.0
 
     @property
     def logit(self) -> float:
         """Weighted sum that hypotheses of one group are ranked by."""
-        return self.verdict.logit
+        return self.verdict.logit - self.penalty
 
 
 class HypothesisScorer:
@@ -133,14 +135,14 @@ class HypothesisScorer:
         poses = np.array([rival.T_cam_part for rival in rivals]).reshape(-1, 4, 4)
         alike = are_alike(best.T_cam_part, poses, part, config.clusters)
         logits = np.array([rival.logit for rival in rivals])
-        margin = verdict.logit - float(logits[~alike].max(initial=-np.inf))
+        margin = best.logit - float(logits[~alike].max(initial=-np.inf))
         # Only rivals that are nearly as good lower the score: most estimates have none, and nothing to compare.
-        close = ~alike & (logits > verdict.logit - config.confidence.clear)
+        close = ~alike & (logits > best.logit - config.confidence.clear)
         close[close] = ~self._models.same_surface.of(best.T_cam_part, poses[close])
-        elsewhere = verdict.logit - float(logits[close].max(initial=-np.inf))
+        elsewhere = best.logit - float(logits[close].max(initial=-np.inf))
         size = max(len(self._group.points_cam), 1)
         mismatch = find_mismatch(best.T_cam_part, self._models.surface, self._group, config.verification)
-        penalty = mismatch_penalty(mismatch, self._group.noise, config.confidence)
+        penalty = mismatch_penalty(mismatch, self._group.noise, config.confidence) - best.penalty
         return PoseEstimate(
             T_cam_part=best.T_cam_part,
             score=confidence(verdict, margin, drop, size, config.confidence, penalty),

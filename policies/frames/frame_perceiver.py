@@ -99,16 +99,17 @@ class FramePerceiver:
             return pipeline.perceive(frame)
         fit = find_bin(frame, self.bin.inner_size) if self.bin.find else None
         if fit is not None and fit.reliable:
-            return _with_bin(self._perceive(frame, workspace_found(frame, fit)), fit)
-        seen = self._perceive(frame, workspace_of_depth(frame))
+            workspace = workspace_found(frame, fit)
+            return _with_bin(self._perceive(self.estimator.within(workspace), frame, workspace), fit)
+        seen = self._perceive(self.estimator, frame, workspace_of_depth(frame))
         if seen.report is not None:
             causes = tuple(cause for cause in seen.report.causes if cause.name not in ABOUT_BIN)
             seen = replace(seen, report=replace(seen.report, causes=causes))
         return seen if fit is None else _with_bin(seen, fit)
 
-    def _perceive(self, frame: Frame, workspace: Workspace) -> Perception:
+    def _perceive(self, estimator: PoseEstimator, frame: Frame, workspace: Workspace) -> Perception:
         """Return the poses in a frame of a bin that is taken as it is."""
-        return Pipeline(self.predictor, self.estimator, workspace, measure_bin=False).perceive(frame)
+        return Pipeline(self.predictor, estimator, workspace, measure_bin=False).perceive(frame)
 
 
 def _with_bin(seen: Perception, fit: BinFit) -> Perception:

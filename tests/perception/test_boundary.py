@@ -228,6 +228,13 @@ def test_margin_and_headroom_bound_what_lies_in_the_bin(height: float, kept: boo
     assert len(extract_boundary(frame, workspace, roomy)) > 0
 
 
+@pytest.mark.parametrize(("std", "kept"), [(0.0005, False), (0.003, True)])
+def test_parts_on_a_floor_whose_height_is_uncertain_are_kept(std: float, kept: bool) -> None:
+    """The plate lies 2 mm above it, and the margin of 3 mm covers an uncertainty of 1 mm."""
+    frame, workspace = seen(flat(0.05, 0.02, 0.002, (0.06, 0.04)), yaw=0.4, turn=TILTED)
+    assert (len(extract_boundary(frame, replace(workspace, translation_std=std))) > 0) == kept
+
+
 # --- every point, once and in order ----------------------------------------------------------------------------------
 
 

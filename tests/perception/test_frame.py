@@ -184,6 +184,8 @@ def test_lists_and_tuples_of_numbers_are_taken() -> None:
         ({"inner_size": None}, "inner_size must be (3,), got ()"),
         ({"T_world_bin": "eye"}, "T_world_bin must be an array of numbers, got 'eye'"),
         ({"inner_size": np.array([0.3, 0.0, 0.1])}, "inner_size must be positive, got [0.3, 0.0, 0.1]"),
+        ({"translation_std": -0.001}, "translation_std must be 0 or more and finite, got -0.001"),
+        ({"rotation_std": np.inf}, "rotation_std must be 0 or more and finite, got inf"),
         ({"inner_size": np.array([0.3, np.nan, 0.1])}, "inner_size must be positive, got [0.3, nan, 0.1]"),
     ],
 )

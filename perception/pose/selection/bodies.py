@@ -25,7 +25,7 @@ class BodyConfig:
     Attributes:
         depth: Depth below one part's surface from which a point of another part lies inside it, as a share of d_max.
         overlap: Share of both surfaces inside the other part above which two parts collide.
-        protrusion: Distance through the floor or a wall above which a pose is impossible, as a share of d_max.
+        protrusion: Distance through the floor or a wall that is tolerated, as a share of d_max.
     """
 
     depth: float = 0.01

@@ -140,10 +140,37 @@ def test_a_part_may_reach_through_the_floor_or_a_wall_by_a_share_of_its_size(off
     through = 0.1 * ELL.d_max + offset
     right = float((np.asarray(ELL.mesh.vertices) @ FROM_ABOVE[0, :3]).max())
     inside = shifted(FROM_ABOVE, z=0.47 - lowest(FROM_ABOVE))
-    assert known.possible(inside, frame)
-    assert known.possible(shifted(inside, z=0.03 + through), frame) == possible
-    assert known.possible(shifted(inside, x=0.05 + through - right - FROM_ABOVE[0, 3]), frame) == possible
-    assert ESTIMATOR.possible(shifted(inside, z=9.0), frame)  # nothing is known of any bin
+    penalty = 0.0 if possible else np.inf
+    assert known.penalty(inside, frame) == 0
+    assert known.penalty(shifted(inside, z=0.03 + through), frame) == penalty
+    assert known.penalty(shifted(inside, x=0.05 + through - right - FROM_ABOVE[0, 3]), frame) == penalty
+    assert ESTIMATOR.penalty(shifted(inside, z=9.0), frame) == 0  # nothing is known of any bin
+
+
+def test_where_the_bins_place_is_uncertain_the_penalty_grows_with_the_penetration() -> None:
+    frame = turned_world(scene_of(ELL, FROM_ABOVE))
+    unsure = replace(bin_with_floor_at(0.5, width=0.1), translation_std=0.004)
+    known = within(unsure, bodies=BodyConfig(protrusion=0.1))
+    allowed = shifted(FROM_ABOVE, z=0.5 - lowest(FROM_ABOVE) + 0.1 * ELL.d_max)
+    penalties = [known.penalty(shifted(allowed, z=deeper), frame) for deeper in (0.0, 0.004, 0.008, 0.0165)]
+    assert penalties == [
+        pytest.approx(0.0, abs=1e-9),
+        pytest.approx(0.5),
+        pytest.approx(2.0),
+        np.inf,
+    ]  # (z / std)^2 / 2, up to four of them
+
+
+def test_a_right_pose_in_a_bin_that_is_believed_too_high_is_found_with_a_lower_score() -> None:
+    scene = scene_of(ELL, LEANING)
+    (right,) = groups_of(scene, within(bin_with_floor_at(lowest(LEANING) + 0.001)))
+    high = bin_with_floor_at(lowest(LEANING) - 0.01)
+    assert not is_at(groups_of(scene, within(high))[0], LEANING)
+    (found,) = groups_of(scene, within(replace(high, translation_std=0.01)))
+    assert is_at(found, LEANING)
+    assert 0.5 < found.score < right.score
+    odds = [each.score / (1 - each.score) for each in (right, found)]
+    assert odds[0] / odds[1] < np.exp(0.5)
 
 
 def test_the_bin_is_given_when_an_estimator_is_made(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,7 +70,7 @@ class Scorer:
 
 def searching(scorer: Scorer, *places: float, config: EstimatorConfig = CONFIG, most: float = np.inf) -> GroupSearch:
     """Return a search that has tried poses; those beyond ``most`` are impossible."""
-    search = GroupSearch(scorer, config, lambda T: place(T) <= most, 7)  # type: ignore[arg-type]
+    search = GroupSearch(scorer, config, lambda T: 0.0 if place(T) <= most else np.inf, 7)  # type: ignore[arg-type]
     search.add(poses(*places))
     return search
 
