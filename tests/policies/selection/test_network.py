@@ -10,7 +10,7 @@ import torch
 from policies.selection.candidate_generator import ROWS
 from policies.selection.features import FEATURES, column
 from policies.selection.network import SelectorNet, SelectorNetConfig
-from policies.selection.selectors import SHIPPED, LearnedSelector, WeightedSelector, load_selector, selector_path
+from policies.selection.selectors import LearnedSelector, WeightedSelector, load_selector, selector_path
 from policies.selection.weights import SelectorError, load_selector_net, load_selector_record, save_selector
 
 CONFIGS = [
@@ -134,19 +134,6 @@ def test_selectors_are_found_by_name_or_path(tmp_path: Path, monkeypatch: pytest
     assert isinstance(load_selector("ours"), LearnedSelector)
     with pytest.raises(ValueError, match=r"random, .*, ours, or the path of a .safetensors file, got 'x'"):
         load_selector("x")
-
-
-def test_shipped_selectors_load_and_choose() -> None:
-    paths = sorted(SHIPPED.glob("*.safetensors"))
-    assert [path.stem for path in paths] == sorted(path.stem for path in SHIPPED.glob("*.json"))
-    assert "bracket_hand_eye" in {path.stem for path in paths}
-    rows, mask = (tensor[0].numpy() for tensor in observations(1))
-    for path in paths:
-        record = load_selector_record(path)
-        assert json.loads(path.with_suffix(".json").read_text()) == record
-        assert {"command", "commit", "seed", "cells", "attempts"} <= set(record)
-        row = load_selector(path.stem).select({"grasps": rows, "mask": mask}, np.random.default_rng(0))
-        assert mask[row]
 
 
 @pytest.mark.parametrize(
