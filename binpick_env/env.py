@@ -35,6 +35,7 @@ from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
 from perception.frame import Workspace
 from perception.geometry import Floats
+from perception.segmentation.choices import NetworkName
 
 MAX_EPISODE_STEPS = 12_000
 HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home at which the arm is back, or has left [rad]
@@ -95,6 +96,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     | `density` | `None` | density of the part [kg/m^3]; the catalogue's, or aluminium's for a file |
     | `num_parts` | `(20, 30)` | number of parts, or the range it is drawn from |
     | `perception` | `"learned"` | `"learned"` (from pixels), `"gt_masks"` (true segments) or `"oracle"` (true poses) |
+    | `network` | `"grid"` | segmentation network under `"learned"`: `"grid"` (in the image plane), `"dgcnn-sgpn"` or `"dgcnn-context"` (over points) |
     | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"`, `"stereo"`, `"tof"` |
     | `bin` | `None` | length, width and height inside the bin [m]; (0.36, 0.26, 0.12) unless given |
     | `jaw` | `None` | largest opening of the jaw [m], at most the 2F-85's 0.085; action 0 opens it that far |
@@ -149,6 +151,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         friction: float | None = None,
         hand_eye_deg: float | None = None,
         trust: Trust | None = None,
+        network: NetworkName = "grid",
     ) -> None:
         cell = {
             "bin": bin,
@@ -179,6 +182,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             symmetry=symmetry,
             density=density,
             symmetry_tolerance=symmetry_tolerance,
+            network=network,
             **cell,
         )
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -195,7 +199,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         require_room(self.part, self.config.bin, self._num_parts[1])
         self.workspace: Workspace = self.config.bin.workspace()
         noise = resolve_noise(pose_noise, self.part, sensor, self.config.camera)
-        self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads)
+        self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads, network)
         self.simulation = Simulation(self.config, self.part, self._num_parts[1])
         geoms = self.simulation.part_of_geom
         self.camera = DepthCamera(self.simulation.model, self.config.camera, self.workspace, geoms, threads=threads)
@@ -297,9 +301,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             likely: Whether poses that are likely but not verified become candidates as well. For a picker that found
                 nothing to do in the last frame.
         """
-        episode = self.episode
-        frame = self._take_frame(episode.reported, episode.frame.number + 1, likely=likely)
-        self._episode = replace(episode, frame=frame)
+        frame = self._take_frame(self.episode.reported, self.episode.frame.number + 1, likely=likely)
+        self._episode = replace(self.episode, frame=frame)
         return self._observation()
 
     def snapshot(self) -> Snapshot:
@@ -307,13 +310,12 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
 
         Light, sensor and the camera's true position are no part of it.
         """
-        episode = self.episode
         return Snapshot(
             simulation=self.simulation.snapshot(),
             judge=self._judge.state(),
             random=dict(self.np_random.bit_generator.state),
             seed=self._np_random_seed,
-            episode=episode,
+            episode=self.episode,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -386,7 +388,6 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         return observe(self.simulation, self.episode.frame, self._boxes)
 
     def _info(self, events: list[DeliveryEvent]) -> dict[str, Any]:
-        success = self.delivered == self.total
         return {
             "frame_id": self.frame_id,
             "delivered": self.delivered,
@@ -394,6 +395,6 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             "total": self.total,
             "time": self.simulation.time,
             "last_event": str(events[-1].kind) if events else "",
-            "success": success,
-            "is_success": success,
+            "success": self.delivered == self.total,
+            "is_success": self.delivered == self.total,
         }

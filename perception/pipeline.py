@@ -155,7 +155,8 @@ class Pipeline:
         d_max = self.estimator.part.d_max
 
         def segment(boundary: BoundaryCloud) -> list[Instance]:
-            return self.predictor.predict(boundary, coarse_surface(frame, workspace, d_max), d_max)
+            surface = coarse_surface(frame, workspace, d_max) if self.predictor.needs_surface else None
+            return self.predictor.predict(boundary, surface, d_max)
 
         return perceive_by(segment, self.estimator, frame, workspace, self.boundary)
 

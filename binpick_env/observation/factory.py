@@ -10,6 +10,7 @@ from binpick_env.observation.perception_noise import PerceptionNoise
 from binpick_env.parts.part import Part
 from perception.frame import Workspace
 from perception.part import PartModel
+from perception.segmentation.choices import NetworkName
 
 
 def make_perceiver(
@@ -18,6 +19,7 @@ def make_perceiver(
     workspace: Workspace,
     noise: PoseNoise | PerceptionNoise | None = None,
     threads: int | None = None,
+    network: NetworkName = "grid",
 ) -> Perceiver:
     """Build the perceiver called ``mode``.
 
@@ -28,21 +30,25 @@ def make_perceiver(
         workspace: Pose and inner box of the bin.
         noise: Errors of the oracle's poses: Gaussian of a stated size, or such as the learned perceiver makes.
         threads: Number of threads that torch and OpenCV may use while a pixel perceiver works; None changes nothing.
+        network: Kind of the segmentation network under ``"learned"``.
 
     Raises:
-        ValueError: There is no such mode, or the part's mesh does not enclose a volume.
+        ValueError: There is no such mode or network, or the part's mesh does not enclose a volume.
         WeightsError: (a ValueError) ``"learned"`` has no weights for the part; the text names the commands that make
             them and the other modes.
     """
     if mode not in get_args(Perception):
         raise ValueError(f"perception must be one of {', '.join(get_args(Perception))}, got {mode!r}")
+    if network not in get_args(NetworkName):
+        raise ValueError(f"network must be one of {', '.join(get_args(NetworkName))}, got {network!r}")
     if mode == "oracle":
         return NoisyOraclePerceiver(noise) if isinstance(noise, PerceptionNoise) else OraclePerceiver(noise)
     # Imported here: the pose estimator's kernels and torch take seconds to load, and the oracle uses neither.
     from binpick_env.observation.pixel_perceiver import gt_masks_perceiver, learned_perceiver
 
-    build = learned_perceiver if mode == "learned" else gt_masks_perceiver
-    return build(part, workspace, threads)
+    if mode == "gt_masks":
+        return gt_masks_perceiver(part, workspace, threads)
+    return learned_perceiver(part, workspace, threads, network)
 
 
 def resolve_noise(

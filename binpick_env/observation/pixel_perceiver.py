@@ -21,6 +21,7 @@ from perception.pipeline import Perception, Pipeline, perceive_by
 from perception.pose.estimator import PoseEstimator
 from perception.pose.pose_estimate import PoseEstimate
 from perception.runtime.threads import use_threads
+from perception.segmentation.choices import NetworkName
 from perception.segmentation.grouping.similarity import GroupingConfig
 
 LIKELY = 0.5  # smallest surface score of a likely pose: what a gripper meets is more likely there than not
@@ -87,8 +88,10 @@ class PixelPerceiver:
         )
 
 
-def learned_perceiver(part: PartModel, workspace: Workspace, threads: int | None = None) -> PixelPerceiver:
-    """Build the perceiver that segments with the trained network.
+def learned_perceiver(
+    part: PartModel, workspace: Workspace, threads: int | None = None, network: NetworkName = "grid"
+) -> PixelPerceiver:
+    """Build the perceiver that segments with a trained network of a kind.
 
     Raises:
         WeightsError: There are no weights for the part; the text names the commands that make them and the other modes.
@@ -99,7 +102,7 @@ def learned_perceiver(part: PartModel, workspace: Workspace, threads: int | None
 
     try:
         # The cell's bin stands where its model says, so that measuring it would cost time and gain nothing.
-        pipeline = Pipeline.for_part(part, workspace, measure_bin=False)
+        pipeline = Pipeline.for_part(part, workspace, measure_bin=False, network=network)
     except WeightsError as error:
         raise WeightsError(
             f"perception='learned' cannot recognise {part.name!r}: {error}; without a network there are "

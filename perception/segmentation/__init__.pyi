@@ -1,3 +1,7 @@
+from .choices import NetworkName as NetworkName
+from .point_files import LabelledPoints as LabelledPoints
+from .point_files import read_points as read_points
+from .point_files import write_labels as write_labels
 from .predictor import PointPredictions as PointPredictions
 from .predictor import PredictorConfig as PredictorConfig
 from .predictor import SegmentationPredictor as SegmentationPredictor

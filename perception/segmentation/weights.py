@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from shutil import copyfile
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from torch import Tensor
 
@@ -14,6 +14,8 @@ from perception.part import PartModel
 from perception.runtime.cache import cache_folder
 from perception.runtime.files import replace_atomically, write_atomically
 from perception.runtime.records import RecordError, RecordFormat
+from perception.segmentation.choices import NetworkName
+from perception.segmentation.networks.context_net import ContextNet, ContextNetConfig
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
 from perception.shape import same_shape, shape_signature
@@ -25,10 +27,12 @@ GENERAL = "general"  # name of the network for every part
 GENERATIONS = 4  # number of networks, each the start of the next, that a record describes in any case
 # What a record tells of the networks before the one that the training started from.
 _KEPT = ("parts", "shapes", "families", "general", "steps", "minutes", "scenes", "validation", "git_commit")
-Network = GridNet | Sgpn
-_KINDS: dict[str, tuple[type[GridNetConfig] | type[SgpnConfig], type[GridNet] | type[Sgpn]]] = {
+Network = GridNet | Sgpn | ContextNet
+NetworkConfig = GridNetConfig | SgpnConfig | ContextNetConfig
+_KINDS: dict[str, tuple[type[NetworkConfig], type[Network]]] = {
     "grid": (GridNetConfig, GridNet),
     "sgpn": (SgpnConfig, Sgpn),
+    "context": (ContextNetConfig, ContextNet),
 }
 
 
@@ -41,9 +45,10 @@ FORMAT = RecordFormat(
 )
 
 
-def build_network(config: GridNetConfig | SgpnConfig) -> Network:
+def build_network(config: NetworkConfig) -> Network:
     """Return a network with weights drawn from torch's global generator."""
-    network: Network = GridNet(config) if isinstance(config, GridNetConfig) else Sgpn(config)
+    _, network_type = next(pair for pair in _KINDS.values() if isinstance(config, pair[0]))
+    network: Network = network_type(config)  # type: ignore[arg-type]
     return network.float()  # whatever torch's default type is in the caller's program
 
 
@@ -56,12 +61,25 @@ def save_network(path: Path, network: Network, record: dict[str, Any], *, half: 
         record: Description of the training, anything that JSON holds; ``parts`` names the parts that it was trained on.
         half: Store the learned parameters in 16 bits, which halves the file. They are float32 again when loaded.
     """
-    kind = "grid" if isinstance(network, GridNet) else "sgpn"
+    kind = next(kind for kind, (_, network_type) in _KINDS.items() if isinstance(network, network_type))
     tensors = dict(network.state_dict())
     if half:
         tensors |= {name: parameter.detach().half() for name, parameter in network.named_parameters()}
     text = FORMAT.save_tensors(path, tensors, {"kind": kind, "network": asdict(network.config), **record})
     write_atomically(path.with_suffix(".json"), text)
+
+
+def network_name(record: dict[str, Any]) -> NetworkName | None:
+    """Return the kind of network that a record belongs to; None for one over points with PointNet's trunk."""
+    names: dict[str, NetworkName] = {"grid": "grid", "context": "dgcnn-context"}
+    if record.get("kind") == "sgpn" and record["network"].get("trunk") == "dgcnn":
+        return "dgcnn-sgpn"
+    return names.get(record.get("kind", "grid"))
+
+
+def weights_name(name: str, network: NetworkName) -> str:
+    """Return the name that weights are kept under, for a part's name, :data:`GENERAL` or :data:`SHARED`."""
+    return name if network == "grid" else f"{name}-{network}"
 
 
 def load_record(path: Path) -> dict[str, Any]:
@@ -159,52 +177,68 @@ def _adds_parts(record: dict[str, Any], others: Sequence[dict[str, Any]]) -> boo
     return any(not any(same_shape(shape, other) for other in known) for shape in record["shapes"].values())
 
 
-def find_weights(part: PartModel) -> FoundWeights:
+def find_weights(part: PartModel, network: NetworkName = "grid") -> FoundWeights:
     """Return the weights for a part: those that were trained on its shape, or else those for every part.
 
     Weights for the part alone precede weights for several parts; the user's precede shipped ones.
 
     Args:
         part: Part to recognise.
+        network: Kind of network.
 
     Raises:
-        WeightsError: There are neither weights of the part nor for every part.
+        WeightsError: There are neither weights of the part nor for every part, of this kind.
+        ValueError: There is no such kind of network.
     """
-    records = _all_records()
+    records = _all_records(network)
     own = [(path, record) for path, record in records if not record.get("general") and _knows(record, part)]
     if own:
         path, _ = min(own, key=lambda found: len(found[1].get("parts", [])) > 1)
         return FoundWeights(path=path, training="own")
-    general = _for_every_part(records)
+    general = _for_every_part(records, network)
     if general is None:
         raise WeightsError(
-            f"there are no segmentation weights for {part.name!r} and none for every part: make scenes with "
-            f"binpick generate-scenes, and train with binpick train-segmentation, which installs in {user_folder()}"
+            f"there are no segmentation weights{_of_network(network)} for {part.name!r} and none for every part: make "
+            f"scenes with binpick generate-scenes, and train with binpick train-segmentation{_preset(network)}, which "
+            f"installs in {user_folder()}"
         )
     return FoundWeights(path=general, training=training_of(load_record(general), part))
 
 
-def general_weights() -> Path:
+def general_weights(network: NetworkName = "grid") -> Path:
     """Return the weights for every part, or those for several parts if there are none; the user's precede shipped ones.
 
-    A training on a single part starts from them.
+    A training on a single part starts from them, and clouds of an unknown part are segmented by them.
+
+    Args:
+        network: Kind of network.
 
     Raises:
-        WeightsError: There are neither.
+        WeightsError: There are neither, of this kind.
+        ValueError: There is no such kind of network.
     """
-    general = _for_every_part(_all_records())
+    general = _for_every_part(_all_records(network), network)
     if general is None:
         raise WeightsError(
-            f"there are no segmentation weights for every part to start from, neither in {user_folder()} nor in "
-            f"{SHIPPED}: --initial none starts from random weights"
+            f"there are no segmentation weights{_of_network(network)} for every part to start from, neither in "
+            f"{user_folder()} nor in {SHIPPED}: binpick train-segmentation --part generated{_preset(network)} makes "
+            "them, and --initial none starts from random weights"
         )
     return general
 
 
-def _for_every_part(records: Sequence[tuple[Path, dict[str, Any]]]) -> Path | None:
+def _of_network(network: NetworkName) -> str:
+    return "" if network == "grid" else f" of the network {network}"
+
+
+def _preset(network: NetworkName) -> str:
+    return "" if network == "grid" else f" --preset {network} --install True"
+
+
+def _for_every_part(records: Sequence[tuple[Path, dict[str, Any]]], network: NetworkName) -> Path | None:
     general = [path for path, record in records if record.get("general")]
     # Without a network for every part, one for several parts serves: it knows d_max and nothing else of a part.
-    general += [path for path, _ in records if path.stem == SHARED]
+    general += [path for path, _ in records if path.stem == weights_name(SHARED, network)]
     return general[0] if general else None
 
 
@@ -217,8 +251,11 @@ def _knows(record: dict[str, Any], part: PartModel) -> bool:
     return any(same_shape(shape, signature) for shape in shapes.values())
 
 
-def _all_records() -> list[tuple[Path, dict[str, Any]]]:
-    return [found for folder in (user_folder(), SHIPPED) for found in _records(folder)]
+def _all_records(network: NetworkName) -> list[tuple[Path, dict[str, Any]]]:
+    if network not in get_args(NetworkName):
+        raise ValueError(f"network must be one of {', '.join(get_args(NetworkName))}, got {network!r}")
+    found = [each for folder in (user_folder(), SHIPPED) for each in _records(folder)]
+    return [(path, record) for path, record in found if network_name(record) == network]
 
 
 def _records(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:

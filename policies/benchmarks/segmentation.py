@@ -12,9 +12,10 @@ from perception.runtime.threads import one_core
 from perception.segmentation.networks.sgpn import SgpnConfig
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.surface import coarse_surface
-from perception.segmentation.training.dataset import BatchMaker, PackedScene
+from perception.segmentation.training.dataset import BatchMaker
 from perception.segmentation.training.loop import Length, StepRecord, Trainer
 from perception.segmentation.training.losses import PairLossConfig
+from perception.segmentation.training.packed import PackedScene
 from perception.segmentation.training.presets import PRESETS, TrainingConfig
 from policies.benchmarks.measurement import Measurement, repeat, seconds
 

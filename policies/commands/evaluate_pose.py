@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from binpick_env.config import AppearanceChoice, SensorPreset
 from binpick_env.evaluation.choices import PosePerception
 from binpick_env.parts.label import part_label
+from perception.segmentation.choices import NetworkName
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
 
@@ -29,6 +30,7 @@ class Arguments(SceneArguments):
     seed: int = 7  # seed of all scenes, which no training has used; scene i is drawn from (seed, i)
     # segments by the network, the true segments, or whole scenes without segments
     perception: PosePerception = "learned"
+    network: NetworkName = "grid"  # kind of network, whose weights are found for the part unless --weights are given
     weights: Path | None = None  # segmentation network, a .safetensors file; the one found for the part unless given
     min_score: float | None = None  # smallest score of a verified pose, in [0, 1]; the estimator's own unless given
     sensor: SensorPreset = "good"  # noise of the depth camera
@@ -80,7 +82,7 @@ class Arguments(SceneArguments):
 
         weights = self.weights
         if self.perception == "learned" and weights is None:
-            weights = find_weights(self.options().load_part().model).path
+            weights = find_weights(self.options().load_part().model, self.network).path
         method = PoseMethodConfig(perception=self.perception, weights=weights, estimator=self.estimator())
         return PoseEvaluationConfig(scenes=self.scene_config(), method=method)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from binpick_env.config import AppearanceChoice, SensorPreset
 from binpick_env.evaluation.choices import SegmentationKind
 from binpick_env.parts.label import part_label
+from perception.segmentation.choices import NetworkName
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
 
@@ -26,6 +27,7 @@ class Arguments(SceneArguments):
 
     count: int = 100  # number of scenes
     seed: int = 7  # seed of all scenes, which no training has used; scene i is drawn from (seed, i)
+    network: NetworkName = "grid"  # kind of network, whose weights are found for the part unless --weights are given
     weights: Path | None = None  # network to evaluate, a .safetensors file; the one found for the part unless given
     method: SegmentationKind = "network"  # a network, or euclidean: components of points that lie close together
     # largest embedding distance of two points of one part; the grouping's own unless given
@@ -76,7 +78,7 @@ class Arguments(SceneArguments):
 
         weights = None
         if self.method == "network":
-            weights = self.weights or find_weights(self.options().load_part().model).path
+            weights = self.weights or find_weights(self.options().load_part().model, self.network).path
         method = MethodConfig(kind=self.method, weights=weights, threshold=self.threshold, radius=self.radius)
         return EvaluationConfig(scenes=self.scene_config(), method=method)
 

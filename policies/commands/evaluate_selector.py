@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from binpick_env.config import Perception
 from binpick_env.jobs.text_tables import counted
 from binpick_env.parts.label import part_label
+from perception.segmentation.choices import NetworkName
 from policies.commands.cell_arguments import CellArguments, evaluated
 from policies.commands.command_line import exit_code, parse
 from policies.selection.choices import HEURISTICS
@@ -34,6 +35,7 @@ class Arguments(CellArguments):
     seed: int = 0  # seed of all bins; bin i is drawn from (seed, i)
     # learned: everything from pixels; gt_masks: true segments; oracle: true poses of visible parts
     perception: Perception = "learned"
+    network: NetworkName = "grid"  # kind of the segmentation network where perception is learned
     min_parts: int = 20  # smallest number of parts in a bin
     max_parts: int = 30  # largest number of parts in a bin
     workers: int = 1  # number of processes, each on one core
@@ -48,6 +50,7 @@ class Arguments(CellArguments):
             **evaluated(self.options()),
             seed=self.seed,
             perception=self.perception,
+            network=self.network,
             num_parts=(self.min_parts, self.max_parts),
         )
 

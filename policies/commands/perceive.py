@@ -10,6 +10,7 @@ import tyro
 
 from binpick_env.parts.label import part_label
 from binpick_env.parts.unit import Unit
+from perception.segmentation.choices import NetworkName
 from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ class Arguments:
     project: bool = False  # project an organised cloud into the stated camera, as unorganised ones are
     crop: tuple[int, int, int, int] | None = None  # part of the image to keep: u0, v0, width, height [px]
     quarter_turns: int = 0  # anticlockwise quarter turns of the image, after the crop
+    network: NetworkName = "grid"  # kind of the segmentation network, whose shipped or installed weights are used
     json: Path | None = None  # JSON file for all frames
     rerun: Path | None = None  # record all frames into this .rrd, for Rerun's viewer; nothing is resumed
     overlay: Path | None = None  # folder of a PNG file for each frame, with the outlines of the parts found
@@ -257,7 +259,9 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
         image_numbers(job.paths, names.scene_id)  # now, rather than when all frames are done
     part = load_part(args.part, unit=args.unit, symmetry=args.symmetry, symmetry_tolerance=args.symmetry_tolerance)
     origin = part.file.origin if part.file else (0.0, 0.0, 0.0)
-    perceiver = FramePerceiver(part.model, workspace, origin_in_file=origin, bin=args.bin_settings())
+    perceiver = FramePerceiver(
+        part.model, workspace, origin_in_file=origin, bin=args.bin_settings(), network=args.network
+    )
     finder = args.finder(part.model, workspace)
     with (
         _recording(args.rerun) as record,

@@ -30,6 +30,7 @@ COMMANDS = (
     _command("compare", _PICK, "compare two runs of pick on the same bins, with paired intervals"),
     _command("perceive", _SEE, "find the poses of a part in frames of your camera, and why some are lost"),
     _command("example", _SEE, "copy a small frame with camera, bin and part, to try perceive on"),
+    _command("segment", _SEE, "label the parts in a cloud of boundary points, without an image"),
     _command("generate-scenes", _SEE, "make labelled scenes to train the segmentation on"),
     _command("train-segmentation", _SEE, "train a segmentation network on labelled scenes"),
     _command("evaluate-segmentation", _SEE, "measure the segmentation's average precision on fresh scenes"),

@@ -271,7 +271,7 @@ def _deliver(args: Arguments, out: Path, last: "Log") -> str:
     from perception.runtime.files import json_text, write_atomically
     from perception.segmentation.training.acceptance import objection, scores
     from perception.segmentation.training.run import LOG, WEIGHTS, read_log
-    from perception.segmentation.weights import install_weights
+    from perception.segmentation.weights import install_weights, load_record, network_name, weights_name
 
     first = next((line for line in read_log(out / LOG) if line["step"] == 0), {})
     lines = [f"weights   {out / WEIGHTS}", f"log       {out / LOG}"]
@@ -282,7 +282,8 @@ def _deliver(args: Arguments, out: Path, last: "Log") -> str:
     against = objection(last, first)
     if args.install or (args.install is None and args.preset == "ours" and against is None):
         try:
-            path = install_weights(out / WEIGHTS, args.name)
+            kind = network_name(load_record(out / WEIGHTS)) or "grid"
+            path = install_weights(out / WEIGHTS, weights_name(args.name, kind))
         except OSError as error:
             raise OSError(
                 f"the weights cannot be installed ({error}); they are kept in {out / WEIGHTS}. With another folder in "

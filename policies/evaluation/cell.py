@@ -57,6 +57,7 @@ def make_env(config: EvaluationConfig) -> WatchedEnv:
         part=config.options().load_part(),
         num_parts=config.num_parts,
         perception=config.perception,
+        network=config.network,
         sensor=config.sensor,
         pose_noise=config.pose_noise,
         config=config.cell(),

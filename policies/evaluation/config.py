@@ -18,6 +18,7 @@ from binpick_env.part_limits import require_room
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
 from perception.runtime.records import RecordError
+from perception.segmentation.choices import NetworkName
 from policies.picking.settings import PickerSettings
 
 _log = logging.getLogger(__name__)
@@ -48,6 +49,7 @@ class EvaluationConfig:
     # error of the camera's reported orientation, standard deviation per axis [deg]; None is none
     hand_eye_deg: float | None = None
     trust: Trust | None = None  # "bin" corrects the camera's reported pose by the bin in its frames; None does not
+    network: NetworkName = "grid"  # kind of the segmentation network where perception is "learned"
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -63,6 +65,8 @@ class EvaluationConfig:
         for name in _NEWER_FIELDS:
             if values[name] is None:
                 del values[name]
+        if self.network == "grid":  # nor do older runs know other networks
+            del values["network"]
         path = Path(self.part)
         if path.suffix and path.is_file():
             values["part"] = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -96,7 +100,7 @@ class EvaluationConfig:
         from perception.segmentation.weights import find_weights  # here, since it loads torch
 
         try:
-            found = find_weights(self.options().load_part().model)
+            found = find_weights(self.options().load_part().model, self.network)
         except (OSError, ValueError) as error:
             _log.warning("the weights of these records are not known: %s", error)
             return None
@@ -124,8 +128,9 @@ class EvaluationConfig:
         if len(sample_grasps(part.model, jaw=self.jaw)) == 0:
             raise ValueError(why_no_grasp(part.model, jaw=self.jaw))
         require_room(part, self.cell().bin, self.num_parts[1])
+        workspace = self.cell().bin.workspace()
         try:
-            make_perceiver(self.perception, part.model, self.cell().bin.workspace(), self.pose_noise)
+            make_perceiver(self.perception, part.model, workspace, self.pose_noise, network=self.network)
         except RecordError as error:  # a WeightsError, without loading torch for its name
             raise type(error)(f"{error}; weights of this part alone: {self._training()}") from error
         return part

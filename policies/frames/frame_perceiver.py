@@ -13,6 +13,7 @@ from perception.geometry import make_transform, rotation_about
 from perception.part import PartModel
 from perception.pipeline import Perception, Pipeline
 from perception.pose.estimator import PoseEstimator
+from perception.segmentation.choices import NetworkName
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.weights import find_weights
 from policies.frames.bin_settings import BinSettings, workspace_found
@@ -60,6 +61,7 @@ class FramePerceiver:
         *,
         origin_in_file: tuple[float, float, float] = (0.0, 0.0, 0.0),
         bin: BinSettings | None = None,
+        network: NetworkName = "grid",
     ) -> None:
         """Load the network and the models of the part, which take seconds the first time.
 
@@ -68,9 +70,10 @@ class FramePerceiver:
             workspace: The bin as it is believed to be; None to look for it, or to search all that a frame measures.
             origin_in_file: Position of the part frame's origin in the frame of the part's file [m]; records name it.
             bin: How the bin in the frames is known; the defaults of :class:`BinSettings` if None.
+            network: Kind of the segmentation network.
 
         Raises:
-            WeightsError: There are neither weights of the part nor for every part.
+            WeightsError: There are neither weights of the part nor for every part, of this kind.
             ValueError: The part does not fit into the bin.
         """
         if workspace is not None and part.d_max > (longest := float(np.linalg.norm(workspace.inner_size))):
@@ -78,7 +81,7 @@ class FramePerceiver:
                 f"the part must fit into the bin, got a part of {1000 * part.d_max:.4g} mm and a bin whose diagonal is "
                 f"{1000 * longest:.4g} mm: check --bin and --unit"
             )
-        found = find_weights(part)
+        found = find_weights(part, network)
         digest = hashlib.sha256(found.path.read_bytes()).hexdigest()
         self.part, self.workspace, self.origin_in_file = part, workspace, origin_in_file
         self.bin = bin or BinSettings()

@@ -53,6 +53,8 @@ def owners(boundary: BoundaryCloud, *poses: Floats) -> np.ndarray:
 class KnowingPredictor(SegmentationPredictor):
     """Gives the groups that it was told, and keeps what it was asked."""
 
+    needs_surface = True  # type: ignore[assignment]
+
     def __init__(self, groups: Callable[[BoundaryCloud], list[Instance]]) -> None:
         self.groups = groups
         self.asked: list[tuple[BoundaryCloud, Surface, float]] = []

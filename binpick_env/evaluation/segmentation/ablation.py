@@ -25,9 +25,10 @@ from perception.runtime.files import json_text, write_atomically
 from perception.segmentation.networks.sgpn import SgpnConfig
 from perception.segmentation.scene import SCENES_NOTE, BoundaryScene
 from perception.segmentation.scoring import score_scene
-from perception.segmentation.training.dataset import BatchMaker, PackedScene, find_scenes, load_packed
+from perception.segmentation.training.dataset import BatchMaker, find_scenes, load_packed
 from perception.segmentation.training.loop import Length, StepRecord, Trainer
 from perception.segmentation.training.losses import PairLossConfig
+from perception.segmentation.training.packed import PackedScene
 from perception.segmentation.training.presets import PRESETS, TrainingConfig
 from perception.segmentation.training.run import WEIGHTS, RunConfig, resume, train
 from perception.segmentation.weights import load_record

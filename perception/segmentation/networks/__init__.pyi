@@ -1,3 +1,6 @@
+from .context_net import ContextInputs as ContextInputs
+from .context_net import ContextNet as ContextNet
+from .context_net import ContextNetConfig as ContextNetConfig
 from .dgcnn import DgcnnConfig as DgcnnConfig
 from .dgcnn import DGCNNTrunk as DGCNNTrunk
 from .dgcnn import EdgeConv as EdgeConv

@@ -6,7 +6,6 @@ from .checkpoint import save_checkpoint as save_checkpoint
 from .dataset import Batch as Batch
 from .dataset import BatchMaker as BatchMaker
 from .dataset import BatchSource as BatchSource
-from .dataset import PackedScene as PackedScene
 from .dataset import find_scenes as find_scenes
 from .dataset import load_packed as load_packed
 from .dataset import split_scenes as split_scenes
@@ -21,6 +20,7 @@ from .losses import confidence_loss as confidence_loss
 from .losses import offset_loss as offset_loss
 from .losses import pair_loss as pair_loss
 from .losses import semantic_loss as semantic_loss
+from .packed import PackedScene as PackedScene
 from .presets import TrainingConfig as TrainingConfig
 from .presets import fine_tuning as fine_tuning
 from .run import RunConfig as RunConfig

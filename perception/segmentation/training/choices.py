@@ -2,4 +2,4 @@
 
 from typing import Literal
 
-PresetName = Literal["paper", "released", "ours"]
+PresetName = Literal["paper", "released", "ours", "dgcnn-context", "dgcnn-sgpn"]

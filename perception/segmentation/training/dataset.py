@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from perception.geometry import Floats
-from perception.segmentation.networks.grid import FINE, place_in, view_grid
+from perception.segmentation.networks.context_net import ContextInputs, ContextNetConfig
+from perception.segmentation.networks.grid import FINE, view_grid
 from perception.segmentation.networks.grid_net import GridInputs, shape_input
 from perception.segmentation.networks.inputs import centred
 from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.training.augment import AugmentConfig, draw_kept, draw_turn
+from perception.segmentation.training.context_samples import context_sample
+from perception.segmentation.training.packed import PackedScene
 from perception.segmentation.training.presets import TrainingConfig
 
 _log = logging.getLogger(__name__)
@@ -34,14 +37,15 @@ class Batch(NamedTuple):
     """A batch of samples and their truth.
 
     Attributes:
-        inputs: Inputs of the network: (B, N, 3) points in units of d_max, or :class:`GridInputs`.
+        inputs: Inputs of the network: (B, N, 3) points in units of d_max, or :class:`GridInputs`, or
+            :class:`ContextInputs`.
         points_BN3: Points along the camera axes, in units of d_max.
         instance_ids_BN: Instance of each point, -1 for void (the container, padding).
         offsets_BN3: Offset from each point to the centre of its part, in units of d_max; None if they are not learned.
         class_ids_BN: Semantic class of each point; None for the single class of a bin of parts.
     """
 
-    inputs: Tensor | GridInputs
+    inputs: Tensor | GridInputs | ContextInputs
     points_BN3: Tensor
     instance_ids_BN: Tensor
     offsets_BN3: Tensor | None = None
@@ -64,45 +68,6 @@ class BatchSource(Protocol):
 
     def __call__(self, step: int) -> Batch:
         """Return the batch of ``step``, which is the same at every call."""
-
-
-@dataclass(frozen=True, eq=False)
-class PackedScene:
-    """The fields of a :class:`BoundaryScene` that training needs, in little memory: N points, P parts.
-
-    Attributes:
-        name: Folder and name of the file; "" for a scene without a file.
-        surface: (h, w) depth of the fine cells [m], 0 where there is none.
-        place_fine: (N, 2) column and row of each point in fine cells.
-        points: (N, 3) boundary points in the camera frame [m].
-        instance_ids: (N,) part of each point, -1 for the container.
-        centres: (P, 3) centres of the parts in the camera frame [m].
-        d_max: Largest extent of the part [m].
-        shape: (5,) values that describe the part's shape, None if unknown.
-    """
-
-    name: str
-    surface: Singles
-    place_fine: Singles
-    points: Singles
-    instance_ids: NDArray[np.int16]
-    centres: Singles
-    d_max: float
-    shape: Singles | None = None
-
-    @classmethod
-    def pack(cls, scene: BoundaryScene, name: str = "") -> "PackedScene":
-        """Return the packed form of a scene."""
-        return cls(
-            name=name,
-            surface=scene.surface.depth.astype(np.float32),
-            place_fine=place_in(scene.surface, scene.boundary.pixels).astype(np.float32),
-            points=scene.boundary.points_cam.astype(np.float32),
-            instance_ids=scene.instance_ids.astype(np.int16),
-            centres=scene.centres_cam.astype(np.float32),
-            d_max=scene.d_max,
-            shape=None if scene.shape is None else scene.shape.astype(np.float32),
-        )
 
 
 def load_packed(paths: Sequence[Path], progress: Callable[[], object] | None = None) -> list[PackedScene]:
@@ -301,21 +266,23 @@ class BatchMaker:
 
     Attributes:
         scenes: Scenes to draw from.
-        kind: Kind of samples: crops for the image-plane network, or subsets of clouds.
+        kind: Kind of samples: crops for the image-plane or the context network, or subsets of clouds.
         batch: Number of samples in a batch.
         points: Number of points in a sample.
         augment: Strength of the augmentation.
         seed: Seed of everything that is drawn.
         rank: Index of this process among those that train together.
+        context: Sizes of the context network, if the samples are for it.
     """
 
     scenes: Sequence[PackedScene]
-    kind: Literal["grid", "cloud"]
+    kind: Literal["grid", "cloud", "context"]
     batch: int
     points: int
     augment: AugmentConfig
     seed: int
     rank: int = 0
+    context: ContextNetConfig | None = None
 
     @classmethod
     def of(cls, config: TrainingConfig, scenes: Sequence[PackedScene], rank: int = 0) -> "BatchMaker":
@@ -328,6 +295,7 @@ class BatchMaker:
             augment=config.augment,
             seed=config.seed,
             rank=rank,
+            context=config.network if isinstance(config.network, ContextNetConfig) else None,
         )
 
     def digest(self) -> str:
@@ -342,6 +310,12 @@ class BatchMaker:
             clouds = [cloud_sample(scene, self.points, self.augment, rng) for scene in chosen]
             points, ids, offsets = (torch.from_numpy(np.stack(arrays)) for arrays in zip(*clouds, strict=True))
             return Batch(inputs=points, points_BN3=points, instance_ids_BN=ids, offsets_BN3=offsets)
+        if self.context is not None:
+            net = self.context
+            drawn = [context_sample(scene, self.points, net.spacing, net.k, self.augment, rng) for scene in chosen]
+            around = ContextInputs.of([sample.cloud for sample in drawn])
+            ids, offsets = (torch.from_numpy(np.stack(arrays)) for arrays in list(zip(*drawn, strict=True))[1:])
+            return Batch(inputs=around, points_BN3=around.points_BN3, instance_ids_BN=ids, offsets_BN3=offsets)
         crops = [grid_sample(scene, self.points, self.augment, rng) for scene in chosen]
         cells, place, local, points, ids, offsets = (
             torch.from_numpy(np.stack(arrays)) for arrays in zip(*crops, strict=True)

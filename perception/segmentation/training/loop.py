@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from perception.segmentation.networks.grid_net import GridInputs, GridNet, GridNetConfig
+from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.output import PointOutputs
 from perception.segmentation.networks.precision import half_precision
 from perception.segmentation.training.dataset import Batch, BatchSource
@@ -269,7 +269,7 @@ def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:
 def to_device(batch: Batch, device: torch.device) -> Batch:
     """Return a batch on ``device``."""
     inputs = batch.inputs
-    moved = inputs.to(device) if isinstance(inputs, Tensor) else GridInputs(*_moved(inputs, device))
+    moved = inputs.to(device) if isinstance(inputs, Tensor) else type(inputs)(*_moved(inputs, device))
     return Batch(moved, *_moved(batch[1:], device))
 
 

@@ -3,18 +3,20 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from perception.segmentation.networks.context_net import ContextNetConfig
 from perception.segmentation.networks.grid_net import GridNetConfig
 from perception.segmentation.networks.sgpn import SgpnConfig
 from perception.segmentation.training.augment import NONE, AugmentConfig
 from perception.segmentation.training.choices import PresetName
 from perception.segmentation.training.losses import AlphaSchedule, PairLossConfig
+from perception.segmentation.weights import NetworkConfig
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingConfig:
     """Settings of a training, besides its scenes and its length."""
 
-    network: GridNetConfig | SgpnConfig = field(default_factory=GridNetConfig)  # sizes of the network
+    network: NetworkConfig = field(default_factory=GridNetConfig)  # sizes of the network
     pairs: PairLossConfig = field(default_factory=PairLossConfig)  # pair loss
     alpha: AlphaSchedule = field(default_factory=AlphaSchedule)  # weight of pairs of two instances
     augment: AugmentConfig = field(default_factory=AugmentConfig)  # augmentation of the scenes
@@ -47,12 +49,15 @@ class TrainingConfig:
             raise ValueError(f"ema must be in [0, 1), got {self.ema}")
 
     @property
-    def kind(self) -> Literal["grid", "cloud"]:
-        """Kind of samples that the network takes: crops of the grid, or clouds of points."""
+    def kind(self) -> Literal["grid", "cloud", "context"]:
+        """Kind of samples that the network takes: crops of the grid, clouds of points, or crops of clouds."""
+        if isinstance(self.network, ContextNetConfig):
+            return "context"
         return "grid" if isinstance(self.network, GridNetConfig) else "cloud"
 
 
 # "paper" follows the text of section IV: distances not squared, alpha in steps, batches of 2 x 4096, 200 epochs.
+# "dgcnn-sgpn" is the network and the loss of the paper, the latter on anchors, with our augmentation and schedule.
 # "released" follows SGPN's released code: 10 d^2, a linear alpha, inverse frequencies, batches of 4.
 PRESETS: dict[PresetName, TrainingConfig] = {
     "paper": TrainingConfig(
@@ -92,6 +97,22 @@ PRESETS: dict[PresetName, TrainingConfig] = {
         learning_rate=2e-3,
         offset_weight=20.0,
         bf16=True,
+    ),
+    "dgcnn-context": TrainingConfig(
+        network=ContextNetConfig(),
+        pairs=PairLossConfig(kind="focal_double_hinge", distance="l2", anchors=192, reach=1.0),
+        alpha=AlphaSchedule(kind="constant"),
+        learning_rate=2e-3,
+        offset_weight=20.0,
+        batch=4,
+        points=2304,
+    ),
+    "dgcnn-sgpn": TrainingConfig(
+        network=SgpnConfig(trunk="dgcnn"),
+        pairs=PairLossConfig(kind="focal_double_hinge", distance="l2", anchors=256, reach=1.0),
+        alpha=AlphaSchedule(kind="linear"),
+        batch=4,
+        points=2048,
     ),
 }
 EPOCHS = 200  # number of epochs in the paper

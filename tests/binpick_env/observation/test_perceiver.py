@@ -163,6 +163,8 @@ def test_negative_noise_is_refused(noise: dict[str, float]) -> None:
 def test_an_unknown_mode_is_refused() -> None:
     with pytest.raises(ValueError, match="perception must be one of oracle, gt_masks, learned, got 'lidar'"):
         make_perceiver("lidar", off_centre(), WORKSPACE)
+    with pytest.raises(ValueError, match="network must be one of grid, dgcnn-sgpn, dgcnn-context, got 'unet'"):
+        make_perceiver("learned", off_centre(), WORKSPACE, network="unet")
 
 
 @pytest.mark.parametrize("mode", ["gt_masks", "learned"])

@@ -11,11 +11,14 @@ from perception.instance import labels_of
 from perception.metrics.average_precision import ap_summary
 from perception.part import PartModel
 from perception.segmentation.grouping.similarity import GroupingConfig
+from perception.segmentation.networks.context_net import ContextNetConfig
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.output import PointOutputs
-from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
+from perception.segmentation.networks.sgpn import SgpnConfig
 from perception.segmentation.predictor import PredictorConfig, SegmentationPredictor
 from perception.segmentation.scoring import score_scene
+from perception.segmentation.surface import Surface
+from perception.segmentation.weights import NetworkConfig, build_network
 from perception.shape import shape_signature, shape_values
 from tests.perception.disc_scene import D_MAX, disc_scene
 
@@ -23,10 +26,13 @@ SMALL = GridNetConfig(widths=(4, 5, 6, 7, 8), hidden=9, embedding=3)
 CLOUD = SgpnConfig(trunk="dgcnn", k=4, global_width=8, embedding=5, branch=6)
 
 
-def predictor(config: GridNetConfig | SgpnConfig, **settings: object) -> SegmentationPredictor:
+CONTEXT = ContextNetConfig(k=4, edge_k=3, edge=5, widths=(6, 7, 8), depths=(1, 1, 1), branch=9, embedding=4)
+EVERY = pytest.mark.parametrize("config", [SMALL, CLOUD, CONTEXT], ids=["grid", "cloud", "context"])
+
+
+def predictor(config: NetworkConfig, **settings: object) -> SegmentationPredictor:
     torch.manual_seed(0)
-    network = GridNet(config) if isinstance(config, GridNetConfig) else Sgpn(config)
-    return SegmentationPredictor(network, PredictorConfig(**settings), device="cpu")
+    return SegmentationPredictor(build_network(config), PredictorConfig(**settings), device="cpu")
 
 
 def test_votes_that_meet_at_the_centres_are_the_parts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,8 +53,8 @@ def test_votes_that_meet_at_the_centres_are_the_parts(monkeypatch: pytest.Monkey
     assert [round(instance.score, 3) for instance in instances][: len(scene.centres_cam)] == [0.9] * 6
 
 
-@pytest.mark.parametrize("config", [SMALL, CLOUD], ids=["grid", "cloud"])
-def test_every_point_is_described_and_a_second_look_says_the_same(config: GridNetConfig | SgpnConfig) -> None:
+@EVERY
+def test_every_point_is_described_and_a_second_look_says_the_same(config: NetworkConfig) -> None:
     scene, teller = disc_scene(), predictor(config, subset=300)
     said = teller.describe(scene.boundary, scene.surface, scene.d_max)
     assert len(said.embedding) == len(said.confidence) == len(scene.boundary)
@@ -75,12 +81,46 @@ def test_subsets_cover_the_cloud_evenly() -> None:
     assert sizes == [245] * 4
 
 
-@pytest.mark.parametrize("config", [SMALL, CLOUD], ids=["grid", "cloud"])
-def test_too_few_points_have_no_instances(config: GridNetConfig | SgpnConfig) -> None:
+@EVERY
+def test_too_few_points_have_no_instances(config: NetworkConfig) -> None:
     scene, teller = disc_scene(), predictor(config)
     for count in (0, 1, 3):
         few = scene.only(np.arange(len(scene.boundary)) < count)
         assert teller.predict(few.boundary, scene.surface, D_MAX) == []
+
+
+@pytest.mark.parametrize("config", [CLOUD, CONTEXT], ids=["cloud", "context"])
+def test_points_alone_are_segmented_as_the_cloud_is(config: NetworkConfig) -> None:
+    scene, teller = disc_scene(), predictor(config, grouping=GroupingConfig(min_points=5))
+    assert not teller.needs_surface
+    alone = teller.predict(scene.boundary.points_cam, d_max=D_MAX)
+    with_surface = teller.predict(scene.boundary, scene.surface, D_MAX)
+    assert len(alone) > 0
+    for mine, other in zip(alone, with_surface, strict=True):
+        np.testing.assert_array_equal(mine.point_idx, other.point_idx)
+
+
+def test_the_image_plane_network_refuses_points_alone_and_surfaces_without_depth() -> None:
+    scene, teller = disc_scene(), predictor(SMALL)
+    assert teller.needs_surface
+    with pytest.raises(ValueError, match="needs the pixels and the surface of a frame, got points and no surface"):
+        teller.predict(scene.boundary.points_cam, d_max=D_MAX)
+    with pytest.raises(ValueError, match="got a BoundaryCloud and no surface"):
+        teller.predict(scene.boundary, d_max=D_MAX)
+    for depth in (np.zeros((0, 0), np.float32), np.zeros_like(scene.surface.depth)):
+        empty = Surface(depth=depth, u0=0.0, v0=0.0, cell=scene.surface.cell)
+        with pytest.raises(ValueError, match="surface must have depths where the boundary points are"):
+            teller.predict(scene.boundary, empty, D_MAX)
+
+
+def test_points_that_are_none_are_named() -> None:
+    teller = predictor(CONTEXT)
+    with pytest.raises(ValueError, match=r"points must be \(N, 3\), got \(4, 2\)"):
+        teller.predict(np.zeros((4, 2)), d_max=D_MAX)
+    with pytest.raises(ValueError, match="points must be finite, point 1 is"):
+        teller.predict(np.array([[0.0, 0, 0], [np.nan, 0, 0]]), d_max=D_MAX)
+    with pytest.raises(ValueError, match="d_max must be positive and finite, got None"):
+        teller.predict(np.zeros((4, 3)))
 
 
 def test_one_giant_instance_is_cut_to_the_parts_size() -> None:

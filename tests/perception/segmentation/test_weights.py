@@ -14,6 +14,7 @@ from safetensors.torch import save_file
 from perception.geometry import make_transform, rotation_about
 from perception.part import PartModel
 from perception.segmentation import weights as module
+from perception.segmentation.networks.context_net import ContextNet, ContextNetConfig
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.sgpn import Sgpn, SgpnConfig
 from perception.segmentation.weights import (
@@ -29,15 +30,18 @@ from perception.segmentation.weights import (
     install_weights,
     load_network,
     load_record,
+    network_name,
     record_of_initial,
     save_network,
     training_of,
+    weights_name,
 )
 from perception.shape import shape_signature
 
 NETWORKS = [
     GridNet(GridNetConfig(widths=(4, 5, 6, 7, 8), hidden=9, embedding=3)),
     Sgpn(SgpnConfig(trunk="dgcnn", k=4, global_width=8, embedding=5, branch=6)),
+    ContextNet(ContextNetConfig(k=4, edge_k=3, edge=5, widths=(6, 7, 8), depths=(1, 1, 1), branch=9, embedding=4)),
 ]
 
 
@@ -56,7 +60,7 @@ def double_by_default() -> Iterator[None]:
     torch.set_default_dtype(torch.float32)
 
 
-@pytest.mark.parametrize("config", [network.config for network in NETWORKS], ids=["grid", "sgpn"])
+@pytest.mark.parametrize("config", [network.config for network in NETWORKS], ids=["grid", "sgpn", "context"])
 def test_networks_are_of_single_precision_whatever_the_callers_default(
     config: GridNetConfig | SgpnConfig, double_by_default: None
 ) -> None:
@@ -64,7 +68,7 @@ def test_networks_are_of_single_precision_whatever_the_callers_default(
     assert {tensor.dtype for tensor in network.state_dict().values() if tensor.is_floating_point()} == {torch.float32}
 
 
-@pytest.mark.parametrize("network", NETWORKS, ids=["grid", "sgpn"])
+@pytest.mark.parametrize("network", NETWORKS, ids=["grid", "sgpn", "context"])
 def test_a_network_comes_back_to_the_bit(network: GridNet | Sgpn, tmp_path: Path) -> None:
     path = tmp_path / "tee.safetensors"
     save_network(path, network, {"parts": ["tee"], "steps": 7})
@@ -102,7 +106,7 @@ def test_what_is_not_whole_is_refused(tmp_path: Path) -> None:
             {"network": record["network"] | {"hidden": 10}},
             r"a complete segmentation network \(Error\(s\) in loading",
         ),
-        ({"kind": "oracle"}, "its network must be one of grid, sgpn, got 'oracle'"),
+        ({"kind": "oracle"}, "its network must be one of grid, sgpn, context, got 'oracle'"),
         ({"version": 99}, "is a segmentation network of version 99, this code reads 1"),
     ):
         FORMAT.save_tensors(path, NETWORKS[0].state_dict(), record | change)
@@ -264,3 +268,41 @@ def test_parts_of_records_without_shapes_are_kept_by_name() -> None:
     for step in range(10):
         record = {"parts": ["bolt"], "steps": step, "initial": record_of_initial(record)}
     assert (training_of(record, NUT), training_of(record, BOLT)) == ("own", "own")
+
+
+def test_each_kind_of_network_has_weights_of_its_own(folders: tuple[Path, Path]) -> None:
+    _, shipped = folders
+    part = PartModel.from_mesh("rod", trimesh.creation.box((0.1, 0.01, 0.01)))
+    kinds = ("grid", "dgcnn-sgpn", "dgcnn-context")
+    for network, kind in zip(NETWORKS, kinds, strict=True):
+        save_network(shipped / f"{weights_name(GENERAL, kind)}.safetensors", network, {"parts": [], "general": True})
+    assert sorted(path.stem for path in shipped.glob("*.safetensors")) == [
+        "general",
+        "general-dgcnn-context",
+        "general-dgcnn-sgpn",
+    ]
+    for kind in kinds:
+        found = find_weights(part, kind).path
+        assert found == general_weights(kind)
+        assert network_name(load_record(found)) == kind
+    assert find_weights(part).path == find_weights(part, "grid").path
+    save_network(shipped / "rod-dgcnn-sgpn.safetensors", NETWORKS[1], {"parts": ["rod"]})
+    assert find_weights(part, "dgcnn-sgpn").training == "own"
+    assert find_weights(part, "dgcnn-context").training == "zero-shot"
+
+
+def test_a_kind_without_weights_is_named(folders: tuple[Path, Path]) -> None:
+    _, shipped = folders
+    part = PartModel.from_mesh("rod", trimesh.creation.box((0.1, 0.01, 0.01)))
+    save_network(shipped / "general.safetensors", NETWORKS[0], {"parts": [], "general": True})
+    with pytest.raises(
+        WeightsError, match=r"no segmentation weights of the network dgcnn-sgpn for .rod. .* --preset dg"
+    ):
+        find_weights(part, "dgcnn-sgpn")
+    with pytest.raises(WeightsError, match="no segmentation weights of the network dgcnn-context for every part"):
+        general_weights("dgcnn-context")
+    with pytest.raises(ValueError, match="network must be one of grid, dgcnn-sgpn, dgcnn-context, got 'unet'"):
+        find_weights(part, "unet")
+    pointnet = SgpnConfig(trunk="pointnet", global_width=8, embedding=5, branch=6)
+    save_network(shipped / "pointnet.safetensors", Sgpn(pointnet), {"parts": ["rod"]})
+    assert network_name(load_record(shipped / "pointnet.safetensors")) is None

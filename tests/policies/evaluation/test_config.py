@@ -37,6 +37,7 @@ def test_the_digest_sees_every_setting() -> None:
         "symmetry_tolerance": 0.001,
         "hand_eye_deg": 1.0,
         "trust": "bin",
+        "network": "dgcnn-context",
     }
     digests = {dataclasses.replace(CONFIG, **{name: value}).digest() for name, value in changes.items()}
     assert len({*digests, CONFIG.digest()}) == len(changes) + 1

@@ -16,7 +16,6 @@ from perception.segmentation.training.dataset import (
     CROP,
     HIDDEN,
     BatchMaker,
-    PackedScene,
     cloud_sample,
     find_scenes,
     grid_sample,
@@ -24,6 +23,7 @@ from perception.segmentation.training.dataset import (
     scene_sources,
     split_scenes,
 )
+from perception.segmentation.training.packed import PackedScene
 from tests.perception.disc_scene import D_MAX, disc_scene
 
 SCENE = PackedScene.pack(disc_scene())

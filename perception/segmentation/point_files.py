@@ -1,0 +1,137 @@
+"""Files of points alone: XYZ, text with labels, PLY and PCD."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.capture.cloud import measured
+from perception.capture.pcd import read_pcd
+from perception.capture.ply import read_ply
+from perception.geometry import Floats, require_shape
+from perception.instance import Instance, labels_of
+from perception.metrics.matching import SceneTruth
+from perception.runtime.files import write_atomically
+
+TEXTS = (".xyz", ".txt", ".csv", ".asc", ".pts")  # suffixes of text files
+LEAST = 3  # number of points of the smallest cloud
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LabelledPoints:
+    """Points of a file, and their labels where it has any.
+
+    Attributes:
+        points: (N, 3) points in the file's unit; those that were not measured are NaN.
+        labels: (N,) int64 part of each point, -1 for none; None if the file has no labels.
+    """
+
+    points: Floats
+    labels: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        require_shape("points", self.points, (None, 3))
+        if self.labels is not None:
+            require_shape("labels", self.labels, (len(self.points),))
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(N,) mask of the points that are finite and not at the origin."""
+        return measured(self.points)
+
+    def truth(self) -> SceneTruth | None:
+        """Return the ground truth of the measured points, each part of which counts; None without labels."""
+        if self.labels is None:
+            return None
+        labels = self.labels[self.measured]
+        parts, ids = np.unique(labels[labels >= 0], return_inverse=True)
+        instance_ids = np.full(len(labels), -1, np.int64)
+        instance_ids[labels >= 0] = ids
+        count = len(parts)
+        return SceneTruth(
+            instance_ids=instance_ids, class_of_instance=np.zeros(count, np.int64), ignored=np.zeros(count, np.bool_)
+        )
+
+
+def read_points(path: Path) -> LabelledPoints:
+    """Read a cloud of points.
+
+    Text has a point in each line, ``x y z``, ``x y z label`` or ``x y z score label``, separated by spaces, tabs,
+    commas or semicolons. Labels count from 0, and negative ones stand for no part. Of lines of six or more numbers,
+    such as colours or normals, the first three are read. Empty lines, comments (``#`` and ``//``) and a line of names
+    at the top are skipped.
+
+    Args:
+        path: PLY or PCD file, or text.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The file is damaged, has another suffix, or holds fewer than 3 measured points.
+    """
+    suffix = path.suffix.lower()
+    if suffix in (".ply", ".pcd"):
+        cloud = read_ply(path) if suffix == ".ply" else read_pcd(path)
+        found = LabelledPoints(points=cloud.points.reshape(-1, 3))
+    elif suffix in TEXTS:
+        found = _text(path)
+    else:
+        raise ValueError(f"{path.name} must be a .ply, .pcd or text file ({', '.join(TEXTS)}), got {suffix or 'none'}")
+    points = np.where(found.measured[:, None], found.points, np.nan)
+    if (count := int(found.measured.sum())) < LEAST:
+        raise ValueError(f"{path.name} must hold at least {LEAST} measured points, got {count} of {len(points)}")
+    return LabelledPoints(points=points, labels=found.labels)
+
+
+def write_labels(path: Path, points: Floats, instances: list[Instance]) -> None:
+    """Write a line ``x y z score label`` for each point, atomically; :func:`read_points` reads it.
+
+    Args:
+        path: File to write.
+        points: (N, 3) points.
+        instances: Groups of the points. A point of none has score 0 and label -1.
+    """
+    labels = labels_of(instances, len(points))
+    scores = np.append([instance.score for instance in instances], 0.0)[labels]
+    lines = [
+        f"{x:.9g} {y:.9g} {z:.9g} {score:.4f} {label}"
+        for (x, y, z), score, label in zip(points.tolist(), scores.tolist(), labels.tolist(), strict=True)
+    ]
+    write_atomically(path, "\n".join(["# x y z score label", *lines, ""]))
+
+
+def _text(path: Path) -> LabelledPoints:
+    rows: list[list[float]] = []
+    for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+        words = line.split("#")[0].split("//")[0].replace(",", " ").replace(";", " ").split()
+        if not words:
+            continue
+        try:
+            row = [float(word) for word in words]
+        except ValueError:
+            if rows:
+                raise ValueError(f"line {number} of {path.name} must be numbers, got {line.strip()[:60]!r}") from None
+            _log.info("%s: line %d is skipped: %s", path.name, number, line.strip()[:60])
+            continue
+        if rows and len(row) != len(rows[0]):
+            raise ValueError(
+                f"line {number} of {path.name} must hold {len(rows[0])} numbers as the lines before, got {len(row)}"
+            )
+        rows.append(row)
+    width = len(rows[0]) if rows else 3
+    values = np.array(rows, np.float64).reshape(-1, width)
+    if width < 3:
+        raise ValueError(
+            f"the lines of {path.name} must be x y z, x y z label or x y z score label, got {width} numbers"
+        )
+    if width not in (4, 5):
+        return LabelledPoints(points=values[:, :3])
+    labels = values[:, -1]
+    if not np.array_equal(labels, np.round(labels)):
+        raise ValueError(
+            f"the last of {width} numbers in the lines of {path.name} is the label and must be whole, got "
+            f"{labels[labels != np.round(labels)][0]}: leave other values out"
+        )
+    return LabelledPoints(points=values[:, :3], labels=np.maximum(labels, -1).astype(np.int64))

@@ -1,0 +1,87 @@
+"""Files of points: what is read of them, what is written, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perception.instance import Instance
+from perception.segmentation.point_files import LabelledPoints, read_points, write_labels
+
+POINTS = np.array([[0.1, 0.2, 0.9], [0.3, 0.2, 0.8], [0.1, -0.2, 0.7], [0.0, 0.5, 0.6]])
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("between", [" ", "\t", ",", ", ", ";"])
+def test_lines_of_three_four_or_five_numbers(tmp_path: Path, between: str) -> None:
+    rows = [[*point, 0.5, label] for point, label in zip(POINTS.tolist(), (2, -3, 0, 2), strict=True)]
+    for columns, labelled in (((0, 1, 2), False), ((0, 1, 2, 4), True), ((0, 1, 2, 3, 4), True)):
+        lines = [between.join(str(row[c]) for c in columns) for row in rows]
+        found = read_points(written(tmp_path / "cloud.txt", "\n".join(["x,y,z", "# a comment", "", *lines])))
+        np.testing.assert_array_equal(found.points, POINTS)
+        assert (None if found.labels is None else found.labels.tolist()) == ([2, -1, 0, 2] if labelled else None)
+
+
+def test_colours_and_normals_are_left_out(tmp_path: Path) -> None:
+    lines = [" ".join(map(str, [*point, 255, 0, 0])) for point in POINTS]
+    found = read_points(written(tmp_path / "cloud.XYZ", "\n".join(lines)))
+    np.testing.assert_array_equal(found.points, POINTS)
+    assert found.labels is None
+
+
+def test_a_ply_file_and_a_pcd_file(tmp_path: Path) -> None:
+    body = "\n".join(" ".join(map(str, point)) for point in POINTS)
+    ply = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    pcd = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 4\nHEIGHT 1\nPOINTS 4\nDATA ascii\n"
+    for name, header in (("cloud.ply", ply), ("cloud.pcd", pcd)):
+        found = read_points(written(tmp_path / name, header + body + "\n"))
+        np.testing.assert_allclose(found.points, POINTS, atol=1e-7)
+
+
+def test_labels_that_are_written_are_read(tmp_path: Path) -> None:
+    points = np.vstack([POINTS, np.full((1, 3), np.nan)])
+    instances = [Instance(point_idx=np.array([0, 2]), score=0.75), Instance(point_idx=np.array([1]), score=0.5)]
+    write_labels(tmp_path / "labels.txt", points, instances)
+    found = read_points(tmp_path / "labels.txt")
+    np.testing.assert_array_equal(found.points, points)
+    assert found.labels is not None
+    assert found.labels.tolist() == [0, 1, 0, -1, -1]
+    assert found.measured.tolist() == [True, True, True, True, False]
+
+
+def test_the_truth_counts_every_labelled_part() -> None:
+    labels = np.array([7, 7, -1, 3])
+    truth = LabelledPoints(points=POINTS, labels=labels).truth()
+    assert truth is not None
+    assert truth.instance_ids.tolist() == [1, 1, -1, 0]
+    assert not truth.ignored.any()
+    assert LabelledPoints(points=POINTS).truth() is None
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "error"),
+    [
+        ("cloud.obj", "", r"cloud.obj must be a .ply, .pcd or text file \(.xyz, .*\), got .obj"),
+        ("cloud.xyz", "1 2 3\n1 2 4\n", "must hold at least 3 measured points, got 2 of 2"),
+        ("cloud.xyz", "", "must hold at least 3 measured points, got 0 of 0"),
+        ("cloud.xyz", "1 2 3\n1 2 3\n0 0 0\nnan 1 1\n", "must hold at least 3 measured points, got 2 of 4"),
+        ("cloud.xyz", "1 2 3\n1 2 three\n", "line 2 of cloud.xyz must be numbers, got '1 2 three'"),
+        ("cloud.xyz", "1 2 3\n1 2\n", "line 2 of cloud.xyz must hold 3 numbers as the lines before, got 2"),
+        ("cloud.xyz", "1 2\n1 3\n", "lines of cloud.xyz must be x y z, x y z label .* got 2 numbers"),
+        ("cloud.xyz", "1 2 3 0.5\n" * 3, "is the label and must be whole, got 0.5"),
+    ],
+)
+def test_what_is_no_cloud_is_refused(tmp_path: Path, name: str, text: str, error: str) -> None:
+    with pytest.raises(ValueError, match=error):
+        read_points(written(tmp_path / name, text))
+
+
+def test_shapes_are_checked(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"labels must be \(4,\), got \(3,\)"):
+        LabelledPoints(points=POINTS, labels=np.zeros(3, np.int64))
+    with pytest.raises(FileNotFoundError):
+        read_points(tmp_path / "none.xyz")
