@@ -5,7 +5,7 @@ from scipy.spatial import cKDTree
 
 from perception.geometry import Floats, require_shape
 
-NEIGHBOURS = 12  # number of neighbours that a tangent is fitted to, the point itself included
+NEIGHBOURS = 30  # number of neighbours that a tangent is fitted to, the point itself included
 REACH = 0.06  # distance up to which a point counts as a neighbour, as a share of d_max
 FEWEST = 3  # number of neighbours below which a point has no tangent
 

@@ -98,11 +98,13 @@ def learned_perceiver(
         ValueError: The part's mesh does not enclose a volume.
     """
     # Imported here: torch takes seconds to load, and true segments need none.
+    from perception.segmentation.predictor import SegmentationPredictor
     from perception.segmentation.weights import WeightsError
 
     try:
         # The cell's bin stands where its model says, so that measuring it would cost time and gain nothing.
-        pipeline = Pipeline.for_part(part, workspace, measure_bin=False, network=network)
+        predictor = SegmentationPredictor.for_part(part, network=network)
+        pipeline = Pipeline(predictor, PoseEstimator(part, workspace=workspace), workspace, measure_bin=False)
     except WeightsError as error:
         raise WeightsError(
             f"perception='learned' cannot recognise {part.name!r}: {error}; without a network there are "

@@ -169,7 +169,7 @@ def test_an_unknown_mode_is_refused() -> None:
 
 @pytest.mark.parametrize("mode", ["gt_masks", "learned"])
 def test_an_open_mesh_is_refused_where_poses_are_estimated(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SegmentationPredictor, "for_part", lambda part: None)
+    monkeypatch.setattr(SegmentationPredictor, "for_part", lambda part, network: None)
     whole = off_centre()
     half = PartModel(
         name="half",

@@ -37,7 +37,8 @@ def test_every_point_leads_to_its_parts_centre(seed: int) -> None:
 
 def test_a_crop_is_void_near_its_rim_and_a_whole_scene_is_not() -> None:
     whole = sample(2000)
-    assert len(np.unique(whole.cloud.points, axis=0)) == len(SCENE.points)  # all of them, and some twice
+    points = len(np.unique(SCENE.points, axis=0))
+    assert len(np.unique(whole.cloud.points, axis=0)) == points  # all of them, and some twice
     void = np.mean(SCENE.instance_ids < 0)
     assert np.mean(whole.instance_ids < 0) == pytest.approx(void, abs=0.03)
     assert np.mean(sample(300).instance_ids < 0) > void + 0.05
