@@ -206,7 +206,6 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         self.light: Light | None = None  # lighting of the grey image; the camera's own if None
         self.render_mode = render_mode
         self._renderer = CellRenderer(self.simulation)
-        # What is observed, and how the cell is commanded.
         self._boxes = observation_boxes(obs_mode, self.config.camera)
         self.observation_space = cast(spaces.Space[Observation], spaces.Dict(dict(self._boxes)))
         self._low, self._high = action_limits(self.simulation.model)
