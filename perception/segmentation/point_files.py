@@ -104,7 +104,7 @@ def write_labels(path: Path, points: Floats, instances: list[Instance]) -> None:
 
 def _text(path: Path) -> LabelledPoints:
     rows: list[list[float]] = []
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), start=1):
         words = line.split("#")[0].split("//")[0].replace(",", " ").replace(";", " ").split()
         if not words:
             continue
