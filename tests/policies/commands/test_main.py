@@ -207,6 +207,7 @@ def test_every_output_of_a_command_is_checked_before_its_work() -> None:
             "rooms",
             "raw",
             "calibration",
+            "cloud",
             "frames_in",
         }
         read |= {"compare", "opencv_python", "open3d_python", "logs"}
