@@ -1,6 +1,7 @@
 """The oracle: which parts it offers, in which order, and how large its errors are; and how a perceiver is chosen."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,8 @@ def view(fractions: list[float], part: PartModel | None = None, seed: int = 0) -
     poses = [
         WORKSPACE.T_world_bin @ make_transform(random_rotation(rng), rng.uniform(-0.05, 0.05, 3)) for _ in fractions
     ]
-    capture: Any = None  # the oracle reads no image
+    true: Any = SimpleNamespace(T_world_cam=np.eye(4))
+    capture: Any = SimpleNamespace(frame=true, T_world_cam=true.T_world_cam)  # the oracle reads no image
     return LabelledCapture(
         capture=capture,
         workspace=WORKSPACE,

@@ -250,7 +250,7 @@ def test_the_papers_table_is_beside_ours() -> None:
     assert rows["Segmentation of a scene [ms]"] == ["–", "2087", "1892", "1528"]  # true segments cost nothing
     assert rows["PPF-MEAM [ms]"] == ["30", "1224", "1085", "641"]
     assert rows["Total [ms]"] == ["–", "3311", "2977", "2169"]
-    assert "3 trials in 1 scenes of seed 31" in " ".join(lines)
+    assert "3 trials in 1 scene of seed 31" in " ".join(lines)
     assert "real scenes of other parts, on another machine" in " ".join(lines)
 
 
