@@ -13,6 +13,7 @@ from binpick_env.jobs.text_tables import counted
 from binpick_env.observation import GeneralNoise
 from binpick_env.parts import load_part
 from perception.s3dis.presets import ROWS
+from perception.segmentation.point_files import read_points
 from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.weights import SHIPPED, find_weights, load_record
 from policies.frames import example_files
@@ -52,6 +53,13 @@ class Line:
 
 def check_example(line: Line) -> None:
     assert line.shown.splitlines() == [str(line.args.out / name) for name in example_files()]
+
+
+def check_segment(line: Line) -> None:
+    assert line.shown.startswith("points    500\n")
+    assert len(read_points(line.out / "labels.txt").points) == 500
+    assert (line.out / "report.html").exists()
+    assert (line.out / "poses.json").exists() == line.args.poses
 
 
 def check_perceive(line: Line) -> None:
@@ -279,6 +287,7 @@ TINY = {
     "compare": Tiny(options={}, check=check_compare),
     "perceive": Tiny(options={}, check=check_perceive),
     "example": Tiny(options={}, check=check_example),
+    "segment": Tiny(options={}, check=check_segment),
     "generate-scenes": Tiny(options=SCENES, check=check_generate_scenes),
     "train-segmentation": Tiny(
         options={

@@ -118,6 +118,7 @@ def run_story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[St
             write_frame(empty_bin(k), folder / f"{name}.json")
         base = make_transform(translation=(-0.5, 0.0, 0.15))
         cell = {"T_world_bin": np.eye(4).tolist(), "T_world_base": base.tolist()}
+        np.savetxt(folder / "cloud.xyz", np.random.default_rng(0).uniform((-0.1, -0.1, 0.8), (0.1, 0.1, 0.9), (500, 3)))
         (folder / "cell.json").write_text(json.dumps(cell))
         calls = [tuple(tiny(words)) for words in story]
         for words in calls:
