@@ -138,7 +138,7 @@ def _warm_up(perceiver: PixelPerceiver, mode: str, part: PartModel, workspace: W
     first frame.
     """
     if mode not in _warmed_up:
-        _log.info("loading the kernels of perception; compiling them, once per machine, takes about 40 s")
+        _log.info("loading the kernels of perception; if they are not compiled yet, this takes about 40 s")
         perceiver.perceive(warm_up_capture(part, workspace), np.random.default_rng(0))
         _warmed_up.add(mode)
     return perceiver

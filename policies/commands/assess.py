@@ -122,7 +122,8 @@ def _bars() -> "Progress":
 
     class Bars(Progress):
         def begin(self, stage: str, total: int) -> None:
-            self.bar = tqdm(total=total, desc=f"{stage:<7}", unit="step", smoothing=0.02)
+            counted = "bins (each by 3 perceptions)" if stage == "bins" else stage
+            self.bar = tqdm(total=total, desc=f"{counted:<7}", unit="step", smoothing=0.02)
 
         def advance(self) -> None:
             self.bar.update()

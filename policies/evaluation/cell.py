@@ -68,6 +68,6 @@ def make_env(config: EvaluationConfig) -> WatchedEnv:
 
 def scripted_cell(config: EvaluationConfig) -> Cell:
     """Build the cell with the scripted picker."""
-    _log.info("building the cell; its first pick compiles the kernels of grasps and paths, once per machine, in 30 s")
+    _log.info("building the cell; if its kernels are not compiled yet, its first pick takes 30 s longer")
     env = make_env(config)
     return Cell(env, ScriptedPicker(env, config.picker))
