@@ -16,6 +16,7 @@ from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
+from perception.segmentation.choices import NetworkName
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.episode import Termination
 from policies.picking.execution import Execution
@@ -106,7 +107,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
     ## Arguments
     | name | default | meaning |
     | --- | --- | --- |
-    | `part`, `unit`, `symmetry`, `symmetry_tolerance`, `density`, `num_parts`, `perception`, `sensor`, `pose_noise`, `threads`, `render_mode` | | as `BinPick-v0`'s |
+    | `part`, `unit`, `symmetry`, `symmetry_tolerance`, `density`, `num_parts`, `perception`, `network`, `sensor`, `pose_noise`, `threads`, `render_mode` | | as `BinPick-v0`'s |
     | `bin`, `jaw`, `friction`, `camera_distance`, `width`, `height`, `backend`, `hand_eye_mm`, `hand_eye_deg`, `trust`, `camera`, `config` | `None` | as `BinPick-v0`'s: options of the cell one by one, its camera, or the whole cell |
     | `max_failures` | `2` | consecutive failures that end the bin; `None` for no limit |
     | `per_part` | `3` | largest number of candidates on one part |
@@ -149,6 +150,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
         friction: float | None = None,
         hand_eye_deg: float | None = None,
         trust: Trust | None = None,
+        network: NetworkName = "grid",
     ) -> None:
         cell: dict[str, Any] = {
             "part": part,
@@ -174,6 +176,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
             "friction": friction,
             "hand_eye_deg": hand_eye_deg,
             "trust": trust,
+            "network": network,
         }
         # A pickled copy is made anew from these; it is the same environment from its first reset(seed) on.
         EzPickle.__init__(self, **cell, max_failures=max_failures, per_part=per_part, picker=picker, fast=fast)

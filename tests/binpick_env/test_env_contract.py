@@ -196,12 +196,13 @@ def test_gymnasium_films_it(tmp_path: Path) -> None:
     pytest.importorskip("moviepy")
     from gymnasium.wrappers import RecordVideo
 
-    env = RecordVideo(small_env(render_mode="rgb_array", num_parts=1), str(tmp_path), episode_trigger=lambda _: True)
+    films = tmp_path / "films"  # the wrapper warns of a folder that exists
+    env = RecordVideo(small_env(render_mode="rgb_array", num_parts=1), str(films), episode_trigger=lambda _: True)
     env.reset(seed=0)
     for _ in range(2):
         env.step(REST)
     env.close()
-    assert [path.suffix for path in tmp_path.iterdir()] == [".mp4"]
+    assert [path.suffix for path in films.iterdir()] == [".mp4"]
 
 
 def test_a_pickled_copy_behaves_the_same() -> None:
