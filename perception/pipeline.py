@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING
 
 from perception.bin import BinFit, Trust, check_trust, find_bin, reconcile
 from perception.boundary import BoundaryCloud, BoundarySettings, extract_boundary
-from perception.diagnosis import BinFacts, FrameReport, PoseCounts, diagnose, log_causes
+from perception.diagnosis import (
+    ABOUT_BIN,
+    BinFacts,
+    FrameReport,
+    PoseCounts,
+    bin_size_cause,
+    diagnose,
+    log_causes,
+)
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats
 from perception.instance import Instance
@@ -147,7 +155,11 @@ class Pipeline:
         corrected, workspace = reconcile(frame, self.workspace, fit, self.trust)
         ms = {"bin": 1000 * (time.perf_counter() - started)}
         seen = self._perceive(corrected, workspace)
-        report = None if seen.report is None else replace(seen.report, bin=BinFacts.of(fit, self.workspace))
+        report = seen.report
+        if report is not None:
+            cause = bin_size_cause(fit, self.workspace.inner_size, report.causes)
+            causes = report.causes if cause is None else (*report.causes, cause)
+            report = replace(report, bin=BinFacts.of(fit, self.workspace), causes=causes)
         return replace(seen, bin=fit, report=report, ms=ms | seen.ms)
 
     def _perceive(self, frame: Frame, workspace: Workspace) -> Perception:
@@ -196,7 +208,7 @@ def perceive_by(
     clock.append(time.perf_counter())
     counts = _count_poses(estimates, poses, missed, estimator.config.min_score)
     report = diagnose(frame, workspace, estimator.part, boundary, counts)
-    log_causes(report)
+    log_causes(report, without=ABOUT_BIN if estimator.workspace is None else ())
     ms = {name: 1000 * (b - a) for name, (a, b) in zip(STAGES[1:], pairwise(clock), strict=True)}
     return Perception(
         boundary=boundary,

@@ -24,7 +24,7 @@ class BinFit:
             fit has the pose that it started from.
         inner_size: (3,) inner length, width and height of the bin [m]; None if it is not known, as that of a table.
         opening: (2,) measured length and width of the opening between the inner edges of the rim [m]; NaN where the
-            edges of only one side, or of none, were seen.
+            edges of only one side, or of none, were seen. An unreliable fit may have that of another bin.
         translation_std: Standard deviation of the bin's measured position along its least certain axis [m].
         rotation_std: Standard deviation of its measured orientation about its least certain axis [rad].
         points: Number of points that support each surface; 0 for one that was not seen.

@@ -1,12 +1,14 @@
 """The pose of a bin in a frame, from its depth."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from perception.bin.bin_fit import BinFit, BinSurface
 from perception.bin.cloud import GridCloud
 from perception.bin.edges import AssumedRim, RimEdges, find_edges
 from perception.bin.first_guess import FirstGuess, Prior, find_table, guess_from_floor, guess_from_rim
-from perception.bin.judgement import opening_of, uncertainty, why_unreliable
+from perception.bin.judgement import is_another_size, opening_of, size_in_mm, uncertainty, why_unreliable
 from perception.bin.refinement import EDGE, WALLS, BinState, Refined, SurfacePoints, collect_points, refine
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, invert_transform, require_shape
@@ -15,6 +17,7 @@ _FEWEST_POINTS = 300  # number of points of the coarse grid with which nothing i
 _REACH = 0.015  # distance up to which edges are looked for around an opening that was seen as a whole [m]
 _WIDE_REACH = 0.06  # the same around the opening of the bin as it is believed to be [m]
 _NEAR_REACH = 0.005  # the same around a refined opening [m]
+_LARGEST = 10.0  # length [m] of no opening, but of one in a depth whose unit is wrong
 _KEPT = 1e-5  # standard deviation of what the points cannot tell, and is kept [m and rad]
 _NO_OPENING = np.full(2, np.nan)
 
@@ -63,11 +66,12 @@ def find_bin(frame: Frame, inner_size: Floats | None, near: Workspace | None = N
     if refined is None:
         if near is None and inner_size is None:
             return _table(frame, cloud, rng)
-        return _unknown(near, inner_size, "its rim was not found")
+        return _other_opening(_unknown(near, inner_size, "its rim was not found"), cloud, rng)
     opening = opening_of(refined, edges)
     reason = why_unreliable(refined, opening, cloud, prior)
     if reason is not None:
-        return _unknown(near, inner_size, reason)
+        unknown = replace(_unknown(near, inner_size, reason), opening=opening)
+        return unknown if np.isfinite(opening).any() else _other_opening(unknown, cloud, rng)
     walls = any(refined.points[name] > 0 for name in WALLS)
     translation_std, rotation_std = uncertainty(refined, walls)
     return BinFit(
@@ -125,6 +129,23 @@ def _unknown(near: Workspace | None, inner_size: Floats | None, reason: str) -> 
         residual=float("nan"),
         reason=reason,
     )
+
+
+def _other_opening(fit: BinFit, cloud: GridCloud, rng: np.random.Generator) -> BinFit:
+    """Return an unreliable fit with the opening of another size that the frame shows, if there is one."""
+    anything = Prior(inner_size=None, T_cam_bin=None, extent=None)
+    guess = None if fit.inner_size is None else guess_from_rim(cloud, anything, rng)
+    if guess is None or fit.inner_size is None:
+        return fit
+    seen, stated = guess.state.opening, fit.inner_size[:2]
+    if (seen[0] > seen[1]) != (stated[0] > stated[1]):
+        seen = seen[::-1].copy()  # which side is the length cannot be seen
+    if not is_another_size(seen, stated) or seen.max() > _LARGEST:
+        return fit  # the bin may be elsewhere, but its size is right; or the unit is wrong by 1000
+    reason = (
+        f"{fit.reason}; an opening of about {size_in_mm(seen)} mm is seen, but inner_size says {size_in_mm(stated)} mm"
+    )
+    return replace(fit, opening=seen, reason=reason)
 
 
 def _table(frame: Frame, cloud: GridCloud, rng: np.random.Generator) -> BinFit:

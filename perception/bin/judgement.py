@@ -38,9 +38,9 @@ def why_unreliable(refined: Refined, opening: Floats, cloud: GridCloud, prior: P
     if seen[0] != seen[1]:
         return f"only the walls at the ends of its {'length' if seen[0] else 'width'} are seen"
     if prior.inner_size is not None:
-        away = np.abs(opening - prior.inner_size[:2])
-        if np.any(away > np.maximum(_MISFIT, _MISFIT_SHARE * prior.inner_size[:2])):
-            return f"its opening measures {_mm(opening)} mm, but inner_size says {_mm(prior.inner_size[:2])} mm"
+        stated = prior.inner_size[:2]
+        if is_another_size(opening, stated):
+            return f"its opening measures {size_in_mm(opening)} mm, but inner_size says {size_in_mm(stated)} mm"
     translation, rotation = uncertainty(refined, walls=seen[0])
     if translation > _MOST_TRANSLATION or rotation > _MOST_ROTATION:
         return f"too little of it is seen: its pose is uncertain by {1000 * translation:.1f} mm"
@@ -60,6 +60,11 @@ def why_unreliable(refined: Refined, opening: Floats, cloud: GridCloud, prior: P
     return None
 
 
+def is_another_size(opening: Floats, stated: Floats) -> bool:
+    """Return whether the (2,) measured opening is not that of the stated bin [m]; NaN is like any other length."""
+    return bool(np.any(np.abs(opening - stated) > np.maximum(_MISFIT, _MISFIT_SHARE * stated)))
+
+
 def uncertainty(refined: Refined, walls: bool) -> tuple[float, float]:
     """Return the standard deviations of the position [m] and of the orientation [rad] along their worst axes.
 
@@ -73,5 +78,6 @@ def uncertainty(refined: Refined, walls: bool) -> tuple[float, float]:
     return translation, float(np.sqrt(np.linalg.eigvalsh(turned).max() + _LEAST_ROTATION**2))
 
 
-def _mm(size: Floats) -> str:
+def size_in_mm(size: Floats) -> str:
+    """Return lengths [m] as text in mm; those that are not known are question marks."""
     return " x ".join("?" if np.isnan(value) else f"{1000 * value:.0f}" for value in size)

@@ -65,7 +65,8 @@ class Calibration:
         if abs(sx / sy - 1) > ASPECT:
             raise ValueError(
                 f"an image of {_text(self.size)} pixels cannot be scaled to {_text(size)}: the ratio of its sides "
-                "differs; if it was cropped, use Calibration.cropped"
+                "differs; if it was cropped, use Calibration.cropped (on the command line, the calibration of the "
+                "cropped image)"
             )
         # Pixel centres are whole numbers, so that the image begins at -0.5.
         A = np.array([[sx, 0, 0.5 * sx - 0.5], [0, sy, 0.5 * sy - 0.5], [0, 0, 1]])
@@ -93,7 +94,8 @@ class Calibration:
         if self.size not in (None, size):
             raise ValueError(
                 f"the image must have the calibrated size {_text(self.size or size)}, got {_text(size)}: if the whole "
-                'image was scaled, set fit="scale"; if it was cropped, use Calibration.cropped'
+                'image was scaled, set fit="scale" (--fit scale on the command line); if it was cropped, use '
+                "Calibration.cropped (on the command line, the calibration of the cropped image)"
             )
 
 

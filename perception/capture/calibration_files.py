@@ -40,6 +40,11 @@ def read_calibration(
 
 def _decoded(path: Path, image_id: int | None, size: tuple[int, int] | None) -> Calibration:
     text = path.read_text(encoding="utf-8", errors="replace")
+    if "\0" in text:
+        raise ValueError(
+            f"{path.name} must be a calibration in JSON or YAML, got a binary file: write the camera matrix as JSON, "
+            'such as {"fx": 600, "fy": 600, "cx": 320, "cy": 240, "width": 640, "height": 480}'
+        )
     content = json.loads(text) if path.suffix.lower() == ".json" else parse_yaml(text)
     if not isinstance(content, dict):
         raise ValueError(f"{path.name} must hold named values, got a {type(content).__name__}")

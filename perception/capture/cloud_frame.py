@@ -58,8 +58,9 @@ def images_of_cloud(
         if calibration is None or calibration.size is None:
             raise ValueError(
                 f"an unorganised cloud ({cloud.points.shape[1]} points in one row) or project=True needs a calibration "
-                f"with K and size, got {calibration}: state Calibration(K=..., size=(width, height)), or "
-                "ReadOptions(grid=...) if the points lie in a grid that the file does not state"
+                f"with K and size, got {calibration}: state Calibration(K=..., size=(width, height)) (--calibration on "
+                "the command line), or ReadOptions(grid=...) (--grid) if the points lie in a grid that the file does "
+                "not state"
             )
         grey = None if cloud.grey is None else cloud.grey[known]
         depth, image = project_cloud(points_cam[known], calibration.K, calibration.size, grey)
@@ -77,7 +78,7 @@ def images_of_cloud(
         if residual > STATED:
             raise ValueError(
                 f"the stated K must explain the organised cloud to {STATED} px (root mean square), got {residual:.2f} "
-                "px: leave it out to recover K from the cloud, or set project=True"
+                "px: leave it out to recover K from the cloud, or set project=True (--project on the command line)"
             )
     return CloudImages(depth=depth, grey=cloud.grey, K=K, T_world_cam=T_world_cam, residual=residual, unseen=0)
 

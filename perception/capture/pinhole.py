@@ -38,7 +38,7 @@ def fit_pinhole(points_cam: Floats) -> PinholeFit:
     if np.count_nonzero(front) < max(4, len(points) / 2):
         raise ValueError(
             f"an organised cloud must have its points in front of the camera (z > 0), got {np.count_nonzero(front)} of "
-            f'{len(points)} points there: if z points backwards, set axes="opengl"'
+            f'{len(points)} points there: if z points backwards, set axes="opengl" (--axes opengl on the command line)'
         )
     pixels, points = pixels[front], points[front]
     focal, centre, errors = [], [], []
@@ -77,14 +77,14 @@ def require_pinhole(fit: PinholeFit) -> None:
         raise ValueError(
             f"an organised cloud must be explained by a pinhole camera to {EXPLAINED} px (root mean square), got a "
             f"residual of {fit.residual:.2f} px with K = {np.round(fit.K, 2).tolist()}: if the lens distorts, or the "
-            "points are in another frame, state the calibration and set project=True, or give the points in the "
-            "camera's frame"
+            "points are in another frame, state the calibration and set project=True (--project on the command "
+            "line), or give the points in the camera's frame"
         )
     if fit.K[0, 0] <= 0 or fit.K[1, 1] <= 0:
         raise ValueError(
             "an organised cloud must have x to the right and y down, got the focal lengths "
-            f'{fit.K[0, 0]:.1f} and {fit.K[1, 1]:.1f} px: set axes="opengl" if y points up, or store the rows from the '
-            "top and the columns from the left"
+            f'{fit.K[0, 0]:.1f} and {fit.K[1, 1]:.1f} px: set axes="opengl" (--axes opengl on the command '
+            "line) if y points up, or store the rows from the top and the columns from the left"
         )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from perception.capture.calibration import Calibration, require_pose
 from perception.capture.calibration_files import read_calibration
+from perception.capture.cloud import Cloud
 from perception.capture.cloud_frame import images_of_cloud
 from perception.capture.content import Content, load_content
 from perception.capture.damage import decoding
@@ -85,6 +86,8 @@ def read_frame_with_report(
     """
     path, options = Path(path), options or ReadOptions()
     content = _recorded(path, options) if is_recording(path) else load_content(path)
+    if options.grid is not None and _is_list_of_points(content.depth):
+        content = replace(content, depth=None, cloud=Cloud(points=np.asarray(content.depth, np.float64)[None]))
     if options.grid is not None and content.cloud is not None:
         content = replace(content, cloud=content.cloud.in_grid(*options.grid))
     if grey is not None:
@@ -128,8 +131,18 @@ def frame_of_content(
     frame = turn_frame(frame, options.quarter_turns)
     report = replace(report, measured_fraction=float(np.mean(frame.valid)))
     if frame.valid.any() and (middle := float(np.median(frame.depth[frame.valid]))) > FAR:
-        _log.warning("%s: the median depth is %.0f m: is scale right (0.001 for millimetres)?", name, middle)
+        _log.warning(
+            "%s: the median depth is %.0f m: is scale right (0.001 for millimetres)? It is --depth-scale on the "
+            "command line",
+            name,
+            middle,
+        )
     return frame, report
+
+
+def _is_list_of_points(stored: NDArray[np.generic] | None) -> bool:
+    """Return whether an array is one of (N, 3) coordinates, rather than a depth image."""
+    return stored is not None and stored.ndim == 2 and stored.shape[1] == 3 and stored.dtype.kind == "f"
 
 
 def _recorded(path: Path, options: ReadOptions) -> Content:
@@ -167,8 +180,8 @@ def _from_depth(
 ) -> tuple[Frame, ReadReport]:
     if camera is None:
         raise ValueError(
-            f"the depth image {name} needs a calibration: pass calibration= as a file (RealSense, Azure Kinect, BOP, "
-            "OpenCV, ROS), a Calibration, or the (3, 3) camera matrix [px]"
+            f"the depth image {name} needs a calibration: pass calibration= (--calibration on the command line) as a "
+            "file (RealSense, Azure Kinect, BOP, OpenCV, ROS), a Calibration, or the (3, 3) camera matrix [px]"
         )
     raw = np.asarray(content.depth)
     missing = options.missing

@@ -1,11 +1,13 @@
 """How the bin that was measured in a frame differs from the believed one."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from perception.bin import BinFit
 from perception.frame import Workspace
+from perception.geometry import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +24,8 @@ class BinFacts:
         seen: Surfaces that were seen.
         residual: Root mean square distance of the supporting points from these surfaces [m]; None likewise.
         inner_size: Inner length, width and height [m], where nothing was believed; None otherwise, and for a table.
+        opening: Measured length and width of the opening [m], None where its edges were not seen; None without both.
+        size_given: Inner length, width and height that were given without a place [m]; None if they were measured.
     """
 
     measured: bool
@@ -33,15 +37,21 @@ class BinFacts:
     seen: tuple[str, ...]
     residual: float | None
     inner_size: tuple[float, ...] | None = None
+    opening: tuple[float | None, ...] | None = None
+    size_given: tuple[float, ...] | None = None
 
     @classmethod
-    def of(cls, fit: BinFit, believed: Workspace | None) -> "BinFacts":
+    def of(cls, fit: BinFit, believed: Workspace | None, size_given: Floats | None = None) -> "BinFacts":
         """Return the facts of a fit.
 
         Args:
             fit: The bin as the frame shows it.
             believed: The bin as it was believed to be; None if its place was not known.
+            size_given: (3,) inner size [m] that was given without a place; None if it was measured.
         """
+        given = None if size_given is None else tuple(size_given.tolist())
+        edges = np.isfinite(fit.opening)
+        opening = tuple(float(v) if there else None for v, there in zip(fit.opening, edges, strict=True))
         if not fit.reliable:
             return cls(
                 measured=False,
@@ -52,6 +62,8 @@ class BinFacts:
                 rotation_std=None,
                 seen=(),
                 residual=None,
+                opening=opening if edges.any() else None,
+                size_given=given,
             )
         distance, angle = (None, None) if believed is None else fit.offset_from(believed)
         size = fit.inner_size if believed is None else None
@@ -65,6 +77,8 @@ class BinFacts:
             seen=fit.seen,
             residual=fit.residual,
             inner_size=None if size is None else tuple(size.tolist()),
+            opening=opening if edges.any() else None,
+            size_given=given,
         )
 
     def __str__(self) -> str:
@@ -79,10 +93,21 @@ class BinFacts:
                 f": {1000 * self.distance:.1f} mm and {np.degrees(self.angle):.2f} degrees from where it was believed "
                 "to be"
             )
+        elif self.size_given is not None:
+            opening = (
+                "its opening was not seen as a whole"
+                if self.opening is None
+                else f"an opening of {_mm(self.opening)} mm"
+            )
+            where = f": {opening}, {_mm(self.size_given)} mm inside as given"
         elif self.inner_size is not None:
-            where = f": {' x '.join(f'{1000 * value:.0f}' for value in self.inner_size)} mm inside"
+            where = f": {_mm(self.inner_size)} mm inside"
         only = "" if walls else ", height and tilt only"
         return (
             f"the bin was measured by {', '.join(seen)}{where} (standard deviations "
             f"{1000 * self.translation_std:.1f} mm, {np.degrees(self.rotation_std):.2f} degrees{only})"
         )
+
+
+def _mm(size: Sequence[float | None]) -> str:
+    return " x ".join("?" if value is None else f"{1000 * value:.0f}" for value in size)

@@ -56,12 +56,15 @@ def geometry_causes(samples: DepthSamples, setup: Setup, poses_found: bool) -> t
     median = float(np.median(depths))
     if median >= _FARTHEST:
         setup = replace(setup, scale=0.001)
-        text = f"the median depth is {median:.4g} m: the depth seems to be in millimetres; multiply it by 0.001"
+        text = (
+            f"the median depth is {median:.4g} m: the depth seems to be in millimetres; multiply it by 0.001 "
+            "(--depth-scale on the command line, 0.001 of what it is)"
+        )
         causes.append(Cause(name="depth_unit", text=text))
     if setup.inner_size.max() >= _LARGEST_BIN:
         size = " x ".join(f"{value:g}" for value in setup.inner_size)
         setup = replace(setup, inner_size=setup.inner_size / 1000)
-        text = f"inner_size is {size} m: it seems to be in millimetres; divide it by 1000"
+        text = f"inner_size is {size} m: it seems to be in millimetres; divide it by 1000 (--bin on the command line)"
         causes.append(Cause(name="inner_size_unit", text=text))
     if not poses_found:
         for check in (_camera_matrix, _poses):
@@ -140,9 +143,18 @@ def _bin_pose(fit: BoxFit, setup: Setup) -> Cause:
     where = f"only {100 * fit.inside:.0f} % of what is measured there is in its box"
     where = "the camera looks elsewhere" if fit.view == 0 else where
     text = f"the frame shows no bin where it should be: {where}; check T_world_bin and T_world_cam"
-    if np.allclose(setup.T_world_bin, np.eye(4), rtol=0, atol=1e-6):
+    if _is_identity(setup.T_world_cam):
+        text += (
+            "; T_world_cam is the identity: if the bin's pose is that in a robot's world, give the camera's, too "
+            "(--camera-pose on the command line)"
+        )
+    if _is_identity(setup.T_world_bin):
         text = (
             f"the bin stands at the origin of the world (T_world_bin is the identity), but {where}: T_world_bin is the "
             "pose of the middle of the inner floor, z up"
         )
     return Cause(name="bin_pose", text=text)
+
+
+def _is_identity(T: Floats) -> bool:
+    return bool(np.allclose(T, np.eye(4), rtol=0, atol=1e-6))

@@ -15,6 +15,7 @@ CauseName = Literal[
     "camera_axes",
     "camera_inverted",
     "bin_pose",
+    "bin_size",
     "underexposed",
     "overexposed",
     "thin_part",
@@ -90,6 +91,7 @@ class FrameReport:
         causes: Likely causes, those to settle first first; empty for a good frame.
         bin: What was measured of the bin; None if it was taken as given.
         in_view: Share of the bin's image that lies within the frame, in [0, 1]; 1 where the bin's pose is in doubt.
+        region: Whether all that the frame measures was searched, in place of a bin.
         boundary_source: Images that the boundary points were found in: the depth where there is no grey image.
     """
 
@@ -104,16 +106,22 @@ class FrameReport:
     bin: BinFacts | None = None
     in_view: float = 1.0
     boundary_source: BoundarySource = "grey"
+    region: bool = False
 
     def __str__(self) -> str:
         depth = "no depth" if self.median_depth is None else f"median depth {self.median_depth:.4g} m"
+        where, points = (
+            "bin in the image",
+            f"{self.boundary_points} in the bin, {self.outside} edge points outside its box",
+        )
+        if self.region:
+            where, points = "region searched", f"{self.boundary_points}"
         lines = [
-            f"bin in the image: {self.pixels} pixels, {100 * self.depth_share:.1f} % with depth, {depth}",
-            f"boundary points: {self.boundary_points} in the bin, {self.outside} edge points outside its box"
-            f"{_SOURCES[self.boundary_source]}",
+            f"{where}: {self.pixels} pixels, {100 * self.depth_share:.1f} % with depth, {depth}",
+            f"boundary points: {points}{_SOURCES[self.boundary_source]}",
         ]
         if self.bin is not None:
-            lines.append(str(self.bin))
+            lines.insert(0 if self.region else len(lines), str(self.bin))
         if self.part_pixels is not None:
             lines.append(f"a part is about {self.part_pixels:.0f} pixels long")
         if self.poses is not None:

@@ -53,9 +53,9 @@ def coarse_surface(frame: Frame, workspace: Workspace, d_max: float) -> Surface:
     if not d_max > 0:
         raise ValueError(f"d_max must be positive, got {d_max}")
     if d_max > np.linalg.norm(workspace.inner_size):
+        size_mm = " x ".join(f"{1000 * value:.0f}" for value in workspace.inner_size)
         raise ValueError(
-            f"a part of d_max {1000 * d_max:.0f} mm does not fit into a bin of {workspace.inner_size.tolist()} m "
-            "(is its model in metres?)"
+            f"a part of d_max {1000 * d_max:.0f} mm does not fit into a bin of {size_mm} mm (is its model in metres?)"
         )
     size = (frame.depth.shape[1], frame.depth.shape[0])
     u0, v0, u1, v1 = bin_region(workspace, frame.K, frame.T_world_cam, size, margin=0.0, headroom=HEADROOM).tolist()

@@ -56,7 +56,7 @@ def _unwritable(options: Any) -> Iterator[str]:
 
 
 def _as_now(arguments: Sequence[str]) -> list[str]:
-    """Return arguments with the bin's size in metres, and options of the previous version under their present names."""
+    """Return arguments with the bin's size in metres, a grid as two words, and older options under present names."""
     now: list[str] = []
     words = iter(arguments)
     for word in words:
@@ -67,6 +67,9 @@ def _as_now(arguments: Sequence[str]) -> list[str]:
             now += ["--hand-eye-mm", _times(value, 1000)]
         elif name == "--bin":
             now += [name, *_sides(value if given else next(words, ""))]
+        elif name == "--grid":
+            value = value if given else next(words, "")
+            now += [name, *(value.split("x") if re.fullmatch(r"\d+x\d+", value) else [value])]
         else:
             now.append(word)
     return now
@@ -98,6 +101,8 @@ def exit_code(work: Callable[[], str | None], errors: Errors, stopped: str = "st
     except KeyboardInterrupt:
         print(f"\n{stopped}", file=sys.stderr)
         return 130
+    except BrokenPipeError:  # an OSError, but nobody's mistake: whoever reads the output has gone
+        raise
     except errors as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from perception.part import PartModel
     from policies.frames import BinSettings, FrameJob, FrameOutcome, FrameRecord, FrameSource, GraspFinder
 
+SMALLEST, LARGEST = 0.01, 10.0  # sides of no bin are shorter or longer [m]
 UNREAD = 1  # exit code where a frame could not be read
 
 
@@ -72,7 +73,8 @@ class Arguments:
     # how the image's size relates to the calibrated one: equal, or scaled as a whole
     fit: Literal["same", "scale"] = "same"
     axes: Literal["opencv", "opengl"] = "opencv"  # axes of a cloud: y down and z forward, or y up and z backward
-    grid: tuple[int, int] | None = None  # columns and rows of an organised cloud whose file does not state them
+    # columns and rows of an organised cloud whose file does not state them; also one word such as 640x480
+    grid: tuple[int, int] | None = None
     project: bool = False  # project an organised cloud into the stated camera, as unorganised ones are
     crop: tuple[int, int, int, int] | None = None  # part of the image to keep: u0, v0, width, height [px]
     quarter_turns: int = 0  # anticlockwise quarter turns of the image, after the crop
@@ -128,6 +130,7 @@ class Arguments:
         from perception.frame import Workspace
         from policies.frames import parse_pose
 
+        _check_size(self.bin)
         stated = self.bin is not None or self.bin_pose is not None
         if self.no_bin and (stated or self.find_bin):
             raise ValueError("state the bin by --bin and --bin-pose, or none by --no-bin, but not both")
@@ -223,6 +226,21 @@ class Arguments:
         )
 
 
+def _check_size(size: tuple[float, float, float] | None) -> None:
+    """Raise ``ValueError`` if the sides of a bin [m] must be in another unit, or are no lengths."""
+    if size is None or (min(size) >= SMALLEST and max(size) <= LARGEST):
+        return
+    got = " x ".join(f"{value:g}" for value in size)
+    factor = 1 if max(size) > LARGEST else 1e6  # metres that are millimetres, or millimetres that are metres
+    meant = [factor * value for value in size]
+    fits = min(meant) >= 1000 * SMALLEST and max(meant) <= 1000 * LARGEST
+    advice = f"type --bin {'x'.join(f'{value:g}' for value in meant)}" if fits else "type its inner sides"
+    raise ValueError(
+        f"--bin must have sides of {1000 * SMALLEST:g} mm to {LARGEST:g} m, got {got} m: three words are metres, one "
+        f"word such as 360x260x120 is millimetres; {advice}"
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Read the options and perceive; return the exit code."""
     return run(parse(Arguments, "perceive", arguments))
@@ -254,6 +272,7 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
     if args.rerun is not None:
         check_recording(args.rerun)
     job, workspace = args.job(), args.workspace()
+    job.require_files()
     names = BopNames(obj_id=args.bop_object, scene_id=args.bop_scene)
     if args.bop is not None:
         image_numbers(job.paths, names.scene_id)  # now, rather than when all frames are done
@@ -265,6 +284,7 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
     finder = args.finder(part.model, workspace)
     with (
         _recording(args.rerun) as record,
+        _quiet_causes(),
         tqdm(total=len(job.paths), unit="frame", smoothing=0.02, disable=len(job.paths) < 2) as bar,
     ):
         for outcome in perceive_frames(job, perceiver, finder):
@@ -285,6 +305,20 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
     if len(outcomes) > 1:
         ends.insert(0, f"frames    {_counts(outcomes)}")
     return "\n".join(ends) or None
+
+
+@contextmanager
+def _quiet_causes() -> Iterator[None]:
+    """Keep likely causes out of the log: the report of each frame has them."""
+    import logging
+
+    log = logging.getLogger("perception.diagnosis.log")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 @contextmanager

@@ -7,9 +7,9 @@ import numpy as np
 
 from perception.bin import BinFit, find_bin
 from perception.boundary import BoundarySettings
-from perception.diagnosis import BinFacts, CauseName
+from perception.diagnosis import ABOUT_BIN, BinFacts, bin_size_cause, no_bin_cause
 from perception.frame import Frame, Workspace
-from perception.geometry import make_transform, rotation_about
+from perception.geometry import Floats, make_transform, rotation_about
 from perception.part import PartModel
 from perception.pipeline import Perception, Pipeline
 from perception.pose.estimator import PoseEstimator
@@ -20,10 +20,6 @@ from policies.frames.bin_settings import BinSettings, workspace_found
 
 FARTHEST = 20.0  # depth beyond which nothing is searched without a bin; no camera over parts measures it [m]
 NO_DEPTH = (0.5, 1.0)  # range that is searched in a frame without depth, where there is nothing to find [m]
-# What a diagnosis says about the bin, which is not there.
-ABOUT_BIN: frozenset[CauseName] = frozenset(
-    {"inner_size_unit", "bin_pose", "floor_height", "thin_part", "partly_outside"}
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +89,8 @@ class FramePerceiver:
         """Return the poses in a frame; none where nothing is found.
 
         Raises:
-            ValueError: No bin was given and the depth is no camera's over parts, or the part is too small in the image.
+            ValueError: No bin was given and the depth is no camera's over parts, or the part is too small in the image,
+                or larger than all that is measured.
         """
         if self.workspace is not None:
             pipeline = Pipeline(
@@ -103,21 +100,44 @@ class FramePerceiver:
         fit = find_bin(frame, self.bin.inner_size) if self.bin.find else None
         if fit is not None and fit.reliable:
             workspace = workspace_found(frame, fit)
-            return _with_bin(self._perceive(self.estimator.within(workspace), frame, workspace), fit)
-        seen = self._perceive(self.estimator, frame, workspace_of_depth(frame))
+            seen = self._perceive(self.estimator.within(workspace), frame, workspace)
+            return _with_bin(seen, fit, self.bin.inner_size)
+        region = workspace_of_depth(frame)
+        self._require_space(region, fit)
+        seen = self._perceive(self.estimator, frame, region)
         if seen.report is not None:
             causes = tuple(cause for cause in seen.report.causes if cause.name not in ABOUT_BIN)
-            seen = replace(seen, report=replace(seen.report, causes=causes))
-        return seen if fit is None else _with_bin(seen, fit)
+            seen = replace(seen, report=replace(seen.report, causes=causes, region=True))
+        return seen if fit is None else _with_bin(seen, fit, self.bin.inner_size)
+
+    def _require_space(self, region: Workspace, fit: BinFit | None) -> None:
+        """Raise ``ValueError`` if the part does not fit into all that a frame measures."""
+        d_max = self.part.d_max
+        if d_max <= np.linalg.norm(region.inner_size):
+            return
+        size = " x ".join(f"{1000 * value:.0f}" for value in region.inner_size)
+        unseen = "" if fit is None else f"the bin was not measured ({fit.reason}), and "
+        raise ValueError(
+            f"{unseen}the part must fit into what the frame measures, got a part of {1000 * d_max:.0f} mm and a region "
+            f"of {size} mm: check the depth's unit (--depth-scale), or that of the part's file (--unit)"
+        )
 
     def _perceive(self, estimator: PoseEstimator, frame: Frame, workspace: Workspace) -> Perception:
         """Return the poses in a frame of a bin that is taken as it is."""
         return Pipeline(self.predictor, estimator, workspace, measure_bin=False).perceive(frame)
 
 
-def _with_bin(seen: Perception, fit: BinFit) -> Perception:
-    """Return what was found with the bin that was looked for."""
-    report = None if seen.report is None else replace(seen.report, bin=BinFacts.of(fit, None))
+def _with_bin(seen: Perception, fit: BinFit, size_given: Floats | None) -> Perception:
+    """Return what was found with the bin that was looked for, and why it may not be the one of the (3,) given size."""
+    report = seen.report
+    if report is not None:
+        causes = report.causes
+        if size_given is not None:
+            cause = bin_size_cause(fit, size_given, causes)
+            if cause is None and not (causes or seen.poses or fit.reliable or np.isfinite(fit.opening).any()):
+                cause = no_bin_cause(size_given)
+            causes = causes if cause is None else (cause, *causes)
+        report = replace(report, bin=BinFacts.of(fit, None, size_given), causes=causes)
     return replace(seen, bin=fit, report=report)
 
 

@@ -121,10 +121,11 @@ def frame_lines(record: FrameRecord) -> list[str]:
         f"{record.path}: {reading.source}, {width} x {height} px, {percent(reading.measured_fraction)} with depth, "
         f"grey from {reading.grey}"
     ]
-    if record.workspace is None:
-        lines.append("no bin limits the poses: the box of all measured depths stands in for it")
-    if record.seen.report is not None:
-        lines += str(record.seen.report).splitlines()
+    report = [] if record.seen.report is None else str(record.seen.report).splitlines()
+    if record.workspace is None:  # after the reason, which a report of a bin that was looked for begins with
+        first = record.seen.report is not None and record.seen.report.bin is not None
+        report.insert(int(first), "no bin limits the poses: the box of all measured depths stands in for it")
+    lines += report
     if not record.seen.poses:
         lines.append(f"no part was found: {_reason(record.seen.report)}")
     if record.poses:

@@ -36,11 +36,15 @@ class FrameSource:
         """Read a frame; see :func:`perception.capture.read_frame_with_report`."""
         return read_frame_with_report(
             path,
-            grey=None if self.grey is None else self.grey.replace(STEM, path.stem),
+            grey=self.grey_of(path),
             calibration=self.calibration,
             T_world_cam=self.T_world_cam,
             options=self.options,
         )
+
+    def grey_of(self, path: Path) -> str | None:
+        """Return the path of the grey image of a frame; None without one."""
+        return None if self.grey is None else self.grey.replace(STEM, path.stem)
 
     def values(self) -> Values:
         """Return what the results depend on, as JSON values."""
@@ -81,6 +85,18 @@ class FrameJob:
             raise ValueError(
                 f"several frames need a grey image each, got {self.source.grey!r}: write {STEM} for the frame's name"
             )
+
+    def require_files(self) -> None:
+        """Check that there is something to read, before seconds are spent on the network.
+
+        Raises:
+            FileNotFoundError: None of the frames exists, or none of their grey images.
+        """
+        if not any(path.exists() for path in self.paths):
+            raise FileNotFoundError(f"there is no frame {self.paths[0]}")
+        greys = [Path(grey) for grey in map(self.source.grey_of, self.paths) if grey is not None]
+        if greys and not any(grey.exists() for grey in greys):
+            raise FileNotFoundError(f"there is no grey image {greys[0]}: check --grey")
 
     def numbers(self, path: Path) -> Path | None:
         """Return the JSON file of a frame."""

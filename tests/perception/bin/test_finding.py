@@ -212,3 +212,15 @@ def test_a_fit_without_sense_is_refused(changes: dict[str, Any], text: str) -> N
     fit = find_bin(AT.see(EMPTY), scene.INNER, scene.workspace(AT))
     with pytest.raises(ValueError, match=text):
         replace(fit, **changes)
+
+
+@pytest.mark.parametrize(
+    ("stated", "text"), [(2 * scene.INNER, "720 x 520"), (np.array([0.4, 0.3, 0.12]), "400 x 300")]
+)
+def test_an_opening_of_another_size_is_named(stated: Floats, text: str) -> None:
+    fit = find_bin(AT.see(PILE), stated)
+    np.testing.assert_allclose(fit.opening, [0.36, 0.26], atol=0.004)
+    assert fit.reason is not None
+    assert fit.reason.startswith("its rim was not found; an opening of about 3")
+    assert fit.reason.endswith(f" mm is seen, but inner_size says {text} mm")
+    assert not fit.reliable

@@ -198,3 +198,9 @@ def test_yaml_is_read_as_opencv_reads_it(tmp_path: Path) -> None:
     assert ours["camera_name"] == "narrow"  # OpenCV keeps the comment
     assert parse_yaml("a:\nb: []\nc:\n  - x") == {"a": None, "b": [], "c": ["x"]}
     assert parse_yaml("") == {}
+
+
+def test_a_binary_file_is_no_calibration(tmp_path: Path) -> None:
+    np.save(tmp_path / "K.npy", np.eye(3))
+    with pytest.raises(ValueError, match=r"K\.npy must be a calibration in JSON or YAML, got a binary file: write"):
+        read_calibration(tmp_path / "K.npy")

@@ -73,6 +73,8 @@ def test_a_cause_has_a_known_name_and_each_group_counts_once() -> None:
 def test_each_cause_is_logged_once(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log, "_logged", set())
     with caplog.at_level(logging.WARNING, "perception"):
+        log_causes(REPORT, without=("few_pixels", "underexposed"))
+        assert not caplog.records
         log_causes(REPORT)
         log_causes(REPORT)
     assert [(r.name, r.levelname, r.message) for r in caplog.records] == [

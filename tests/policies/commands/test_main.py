@@ -262,3 +262,11 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
         assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == ""
+
+
+def test_a_reader_that_has_gone_is_no_mistake() -> None:
+    def work() -> str:
+        raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        exit_code(work, (OSError,))

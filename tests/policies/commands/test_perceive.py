@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from perception.capture import write_frame
+from perception.geometry import deproject_depth, make_transform
 from perception.metrics.pose_errors import pose_error
+from perception.segmentation.predictor import SegmentationPredictor
 from tests.perception.block_scene import BIN, ELL, POSES
 from tests.policies.commands.command_calls import run
 from tests.policies.commands.perceive_calls import EMPTY, ESTIMATOR, FRAME, IN_BIN, POSE, frames_in
@@ -150,6 +152,11 @@ def test_a_folder_of_results_is_resumed_but_not_mixed(folder: Path) -> None:
         (["--bin", "400x300x100", "--bin-pose", "lost.json"], "T_world_bin: there is no file lost.json"),
         (["--bin", "400x300x100", "--bin-pose", "full.npz"], "T_world_bin: full.npz is no JSON file"),
         (["--bin", "400x300x100", "--bin-pose", "empty.json"], "T_world_bin: empty.json has no key 'T_world_bin'"),
+        (["--bin", "360", "260", "120"], "got 360 x 260 x 120 m: three words are metres, one word such as"),
+        (["--bin", "360", "260", "120"], "is millimetres; type --bin 360x260x120"),
+        (["--bin", "0.36x0.26x0.12"], "is millimetres; type --bin 360x260x120"),
+        (["--bin", "0.36", "0.26", "0"], "is millimetres; type its inner sides"),
+        (["--no-bin", "--grey", "{stem}_lost.png"], "there is no grey image full_lost.png: check --grey"),
         (["--no-bin", "--calibration", "lost.json"], "there is no calibration lost.json"),
         (["--no-bin", "--depth-scale", "-1"], "scale must be a positive length"),
         (["--no-bin", "--grey", "one.png"], "several frames need a grey image each, got 'one.png'"),
@@ -220,3 +227,37 @@ def test_folders_without_a_meaning_are_refused(options: list[str], error: str, f
     done = run("perceive", *options, *IN_BIN, cwd=folder)
     assert done.returncode == 2
     assert error in done.stderr
+
+
+def test_a_lost_frame_is_named_before_the_network_is_loaded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SegmentationPredictor, "from_file", None)
+    done = run("perceive", "lost.png", *IN_BIN, cwd=folder)
+    assert (done.returncode, done.stderr) == (2, "error: there is no frame lost.png\n")
+
+
+def test_a_grid_may_be_one_word(folder: Path) -> None:
+    height, width = FRAME.depth.shape
+    points = deproject_depth(FRAME.K, FRAME.depth).reshape(-1, 3)
+    np.save(folder / "points.npy", points)
+    options = ["--part", "ell.stl", "--no-bin", "--json", "one.json"]
+    done = run("perceive", "points.npy", *options, "--grid", f"{width}x{height}", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert f"points.npy: organised cloud, {width} x {height} px" in done.stdout
+
+
+def test_a_part_larger_than_all_that_is_measured_is_a_wrong_unit_of_depth(folder: Path) -> None:
+    write_frame(replace(FRAME, depth=FRAME.depth / 100), folder / "small.npz")
+    done = run("perceive", "small.npz", "--part", "ell.stl", "--no-bin", cwd=folder)
+    assert done.returncode == 1
+    assert "the part must fit into what the frame measures, got a part of" in done.stderr
+    assert "mm: check the depth's unit (--depth-scale), or that of the part's file (--unit)" in done.stderr
+
+
+def test_a_bin_in_a_robots_world_without_the_cameras_pose_is_said_once(folder: Path) -> None:
+    write_frame(replace(FRAME, T_world_cam=np.eye(4)), folder / "plain.npz")
+    away = [f"{value:g}" for value in make_transform(translation=(0.5, 0.2, -0.3)).ravel()]
+    options = ["--part", "ell.stl", "--bin", "400x300x100", "--bin-pose", *away]
+    done = run("perceive", "plain.npz", *options, cwd=folder)
+    assert done.returncode == 0
+    assert "give the camera's, too (--camera-pose on the command line)" in done.stdout
+    assert (done.stdout + done.stderr).count("the frame shows no bin where it should be") == 1

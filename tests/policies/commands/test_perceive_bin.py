@@ -84,6 +84,24 @@ def test_everything_is_searched_where_no_bin_is_found(folder: Path) -> None:
     assert not frame["report"]["bin"]["measured"]
     assert "the bin was not measured: its rim was not found" in done.stdout
     assert "no bin limits the poses" in done.stdout
+    assert done.stdout.index("the bin was not measured") < done.stdout.index("no bin limits the poses")
+    assert "region searched: " in done.stdout
+    assert "in the bin" not in done.stdout
+    assert done.stderr == ""  # no warning about a bin that nobody gave
+
+
+@pytest.mark.parametrize(
+    ("size", "text"),
+    [
+        ("232x172x80", "likely cause: the bin's opening measures 2"),
+        ("480x360x160", "was seen where 480 x 360 mm was said, 0.5 times as long and as wide: check the depth's unit"),
+    ],
+)
+def test_a_bin_of_another_size_is_a_cause(folder: Path, size: str, text: str) -> None:
+    write_frame(IN_WALLS, folder / "walls.npz")
+    done = run("perceive", "walls.npz", "--part", "ell.stl", "--bin", size, cwd=folder)
+    assert done.returncode == 0
+    assert text in done.stdout
 
 
 def test_parts_on_a_table_are_found_without_a_bin(folder: Path) -> None:

@@ -1,0 +1,73 @@
+"""What is said of a bin whose opening has another size than the one given."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from perception.bin import BinFit
+from perception.diagnosis import BinFacts, Cause, bin_size_cause, no_bin_cause
+
+GIVEN = np.array([0.36, 0.26, 0.12])
+FOUND = BinFit(
+    T_world_bin=np.eye(4),
+    inner_size=GIVEN,
+    opening=GIVEN[:2],
+    translation_std=0.0002,
+    rotation_std=0.001,
+    points={"floor": 9, "rim": 9, "wall_x+": 9},
+    residual=0.0003,
+)
+
+
+@pytest.mark.parametrize(
+    ("opening", "reason", "text"),
+    [
+        (
+            [0.18, 0.13],
+            "its rim was not found",
+            "an opening of about 180 x 130 mm was seen where 360 x 260 mm was said, 0.5 times as long and as wide: "
+            "check the depth's unit (--depth-scale) or --bin",
+        ),
+        (
+            [0.4, 0.26],
+            "no",
+            "360 x 260 mm was said: check --bin (--find-bin measures the size), or the depth's unit (--depth-scale)",
+        ),
+        ([0.37, 0.27], None, "opening measures 370 x 270 mm, but 360 x 260 mm was given: its walls reject poses"),
+        ([np.nan, 0.27], None, "opening measures ? x 270 mm"),
+        ([0.362, 0.262], None, None),
+        ([np.nan, np.nan], "its rim was not found", None),
+    ],
+)
+def test_the_size_seen_is_compared_with_the_size_given(
+    opening: list[float], reason: str | None, text: str | None
+) -> None:
+    cause = bin_size_cause(replace(FOUND, opening=np.array(opening), reason=reason), GIVEN, ())
+    if text is None:
+        assert cause is None
+    else:
+        assert cause is not None
+        assert cause.name == "bin_size"
+        assert text in cause.text
+
+
+def test_a_difference_within_the_uncertainty_or_by_a_unit_is_no_cause() -> None:
+    off = replace(FOUND, opening=np.array([0.365, 0.265]), translation_std=0.002)
+    assert bin_size_cause(off, GIVEN, ()) is None
+    millimetres = Cause(name="depth_unit", text="the depth is in millimetres")
+    assert bin_size_cause(replace(FOUND, opening=500 * GIVEN[:2]), GIVEN, (millimetres,)) is None
+
+
+def test_the_cause_without_any_opening_names_the_options() -> None:
+    assert "no opening was seen where a bin of 360 x 260 mm was said: check" in no_bin_cause(GIVEN).text
+    assert "--depth-scale" in no_bin_cause(GIVEN).text
+
+
+def test_the_facts_tell_the_opening_measured_from_the_size_given() -> None:
+    facts = BinFacts.of(replace(FOUND, opening=np.array([0.3594, np.nan])), None, GIVEN)
+    assert facts.opening == (pytest.approx(0.3594), None)
+    assert "1 wall: an opening of 359 x ? mm, 360 x 260 x 120 mm inside as given (standard" in str(facts)
+    facts = BinFacts.of(replace(FOUND, opening=np.full(2, np.nan)), None, GIVEN)
+    assert "its opening was not seen as a whole, 360 x 260 x 120 mm inside as given" in str(facts)
+    assert "wall: 360 x 260 x 120 mm inside (" in str(BinFacts.of(FOUND, None))
