@@ -158,7 +158,7 @@ class Pipeline:
         report = seen.report
         if report is not None:
             cause = bin_size_cause(fit, self.workspace.inner_size, report.causes)
-            causes = report.causes if cause is None else (*report.causes, cause)
+            causes = report.causes if cause is None else (cause, *report.causes)
             report = replace(report, bin=BinFacts.of(fit, self.workspace), causes=causes)
         return replace(seen, bin=fit, report=report, ms=ms | seen.ms)
 

@@ -38,7 +38,9 @@ class ReadOptions:
 
     def __post_init__(self) -> None:
         if self.scale is not None and not 0 < self.scale < np.inf:
-            raise ValueError(f"scale must be a positive length [m] per unit, got {self.scale}")
+            raise ValueError(
+                f"scale must be a positive length [m] per unit, got {self.scale} (--depth-scale on the command line)"
+            )
         if self.fit not in ("same", "scale"):
             raise ValueError(f"fit must be 'same' or 'scale', got {self.fit!r}")
         if self.axes not in ("opencv", "opengl"):

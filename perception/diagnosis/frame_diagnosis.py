@@ -134,7 +134,8 @@ def _view(view: float) -> list[Cause]:
         return []
     text = (
         f"only {100 * view:.0f} % of the bin's image lies within the frame: parts beside it are not found, and those "
-        "that it cuts are found badly; move the camera, take a shorter lens, or check T_world_bin and K"
+        "that it cuts are found badly; move the camera, take a shorter lens, or check T_world_bin and K "
+        "(--bin-pose and --calibration)"
     )
     return [Cause(name="partly_outside", text=text)]
 

@@ -118,12 +118,12 @@ def _camera_pose(samples: DepthSamples, setup: Setup) -> tuple[Cause, Setup] | N
     opengl = "T_world_cam seems to have OpenGL's camera axes (y up, z back)"
     inverted = "T_world_cam seems to be its inverse, which maps the world to the camera"
     others: list[tuple[CauseName, Floats, str]] = [
-        ("camera_axes", setup.T_world_cam @ _OPENGL, f"{opengl}; use T_world_cam @ diag(1, -1, -1, 1)"),
-        ("camera_inverted", inverse, f"{inverted}; invert it"),
+        ("camera_axes", setup.T_world_cam @ _OPENGL, f"{opengl}; use T_world_cam @ diag(1, -1, -1, 1) (--camera-pose)"),
+        ("camera_inverted", inverse, f"{inverted}; invert it (--camera-pose)"),
         (
             "camera_inverted",
             inverse @ _OPENGL,
-            f"{inverted}, with OpenGL's camera axes; use inv(T_world_cam) @ diag(1, -1, -1, 1)",
+            f"{inverted}, with OpenGL's camera axes; use inv(T_world_cam) @ diag(1, -1, -1, 1) (--camera-pose)",
         ),
     ]
     fits = [replace(setup, T_world_cam=T).fit(samples) for _, T, _ in others]
@@ -142,12 +142,12 @@ def _bin_pose(fit: BoxFit, setup: Setup) -> Cause:
     """Return the cause where no usual mistake explains that the bin is elsewhere."""
     where = f"only {100 * fit.inside:.0f} % of what is measured there is in its box"
     where = "the camera looks elsewhere" if fit.view == 0 else where
-    text = f"the frame shows no bin where it should be: {where}; check T_world_bin and T_world_cam"
+    text = (
+        f"the frame shows no bin where it should be: {where}; check T_world_bin and T_world_cam (--bin-pose and "
+        "--camera-pose)"
+    )
     if _is_identity(setup.T_world_cam):
-        text += (
-            "; T_world_cam is the identity: if the bin's pose is that in a robot's world, give the camera's, too "
-            "(--camera-pose on the command line)"
-        )
+        text += "; T_world_cam is the identity: if the bin's pose is that in a robot's world, give the camera's, too"
     if _is_identity(setup.T_world_bin):
         text = (
             f"the bin stands at the origin of the world (T_world_bin is the identity), but {where}: T_world_bin is the "

@@ -8,6 +8,8 @@ import numpy as np
 
 from perception.geometry import Floats, require_rigid
 
+_OPTIONS = {"T_world_bin": "--bin-pose", "T_world_cam": "--camera-pose", "T_world_base": "--robot-base"}
+
 
 def parse_pose(words: Sequence[str], name: str) -> Floats:
     """Return a pose from its numbers or from a file.
@@ -28,9 +30,11 @@ def parse_pose(words: Sequence[str], name: str) -> Floats:
     try:
         numbers = np.asarray(values, np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be 16 numbers row by row, got {values}") from error
+        raise ValueError(f"{name} must be 16 numbers row by row, got {values}{_option(name)}") from error
     if numbers.size != 16:
-        raise ValueError(f"{name} must be 16 numbers row by row, or one JSON file of them, got {numbers.size} numbers")
+        raise ValueError(
+            f"{name} must be 16 numbers row by row, or one JSON file of them, got {numbers.size} numbers{_option(name)}"
+        )
     pose: Floats = numbers.reshape(4, 4)
     require_rigid(name, pose)
     return pose
@@ -44,7 +48,9 @@ def _stored_pose(path: Path, name: str) -> object:
         ValueError: The file is no JSON, or an object without that key.
     """
     if not path.exists():
-        raise FileNotFoundError(f"{name}: there is no file {path}; give a JSON file, or 16 numbers row by row")
+        raise FileNotFoundError(
+            f"{name}: there is no file {path}; give a JSON file, or 16 numbers row by row{_option(name)}"
+        )
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -54,3 +60,8 @@ def _stored_pose(path: Path, name: str) -> object:
             raise ValueError(f"{name}: {path} has no key {name!r}, only {', '.join(map(repr, content))}")
         return content[name]
     return content
+
+
+def _option(name: str) -> str:
+    """Return which option a pose is given by, in brackets after a space; nothing if it is not one of a command."""
+    return f" ({_OPTIONS[name]} on the command line)" if name in _OPTIONS else ""

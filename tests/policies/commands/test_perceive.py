@@ -147,9 +147,9 @@ def test_a_folder_of_results_is_resumed_but_not_mixed(folder: Path) -> None:
         (["--trust", "bin", "--bin", "400x300x100"], "--trust bin needs the place of the bin"),
         (["--no-bin", "--bin", "400x300x100"], "or none by --no-bin, but not both"),
         (["--bin", "40x30x10", "--bin-pose", *POSE], "the part must fit into the bin, got a part of"),
-        (["--bin", "400x300x100", "--bin-pose", *POSE[:15]], "T_world_bin must be 16 numbers row by row, or one JSON"),
+        (["--bin", "400x300x100", "--bin-pose", *POSE[:15]], "or one JSON file of them, got 15 numbers (--bin-pose on"),
         (["--bin", "400x300x100", "--bin-pose", *POSE[:15], "x"], "T_world_bin must be 16 numbers row by row, got"),
-        (["--bin", "400x300x100", "--bin-pose", "lost.json"], "T_world_bin: there is no file lost.json"),
+        (["--bin", "400x300x100", "--bin-pose", "lost.json"], "16 numbers row by row (--bin-pose on the command line)"),
         (["--bin", "400x300x100", "--bin-pose", "full.npz"], "T_world_bin: full.npz is no JSON file"),
         (["--bin", "400x300x100", "--bin-pose", "empty.json"], "T_world_bin: empty.json has no key 'T_world_bin'"),
         (["--bin", "360", "260", "120"], "got 360 x 260 x 120 m: three words are metres, one word such as"),
@@ -158,7 +158,10 @@ def test_a_folder_of_results_is_resumed_but_not_mixed(folder: Path) -> None:
         (["--bin", "0.36", "0.26", "0"], "is millimetres; type its inner sides"),
         (["--no-bin", "--grey", "{stem}_lost.png"], "there is no grey image full_lost.png: check --grey"),
         (["--no-bin", "--calibration", "lost.json"], "there is no calibration lost.json"),
-        (["--no-bin", "--depth-scale", "-1"], "scale must be a positive length"),
+        (
+            ["--no-bin", "--depth-scale", "-1"],
+            "scale must be a positive length [m] per unit, got -1.0 (--depth-scale on",
+        ),
         (["--no-bin", "--grey", "one.png"], "several frames need a grey image each, got 'one.png'"),
     ],
 )
@@ -259,5 +262,8 @@ def test_a_bin_in_a_robots_world_without_the_cameras_pose_is_said_once(folder: P
     options = ["--part", "ell.stl", "--bin", "400x300x100", "--bin-pose", *away]
     done = run("perceive", "plain.npz", *options, cwd=folder)
     assert done.returncode == 0
-    assert "give the camera's, too (--camera-pose on the command line)" in done.stdout
+    assert (
+        "(--bin-pose and --camera-pose); T_world_cam is the identity: if the bin's pose is that in a robot's"
+        in done.stdout
+    )
     assert (done.stdout + done.stderr).count("the frame shows no bin where it should be") == 1
