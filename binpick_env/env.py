@@ -309,13 +309,12 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
 
         Light, sensor and the camera's true position are no part of it.
         """
-        episode = self.episode  # there is none before the first reset
         return Snapshot(
+            episode=self.episode,  # the first, as there is none before the first reset
             simulation=self.simulation.snapshot(),
             judge=self._judge.state(),
             random=dict(self.np_random.bit_generator.state),
             seed=self._np_random_seed,
-            episode=episode,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
