@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from perception import _boundary_kernels as _kernels
 from perception.depth_edges import DepthEdgeSettings, depth_edges
 from perception.frame import Frame, Workspace, bin_region
-from perception.geometry import Floats, require_shape, transform_points
+from perception.geometry import Floats, pixel_rays, require_shape, transform_points
 
 BoundarySource = Literal["grey", "depth", "both"]
 THIN = 0.0005  # height by which the top of a part must exceed the margin, for the sake of noise [m]
@@ -169,9 +169,7 @@ def extract_boundary(frame: Frame, workspace: Workspace, settings: BoundarySetti
 def organised_points(frame: Frame, pixels: NDArray[np.int64]) -> Floats:
     """Return the (N, 3) points in the camera frame [m] that (N, 2) pixels (u, v) show."""
     z = frame.depth[pixels[:, 1], pixels[:, 0]].astype(np.float64)
-    x = (pixels[:, 0] - frame.K[0, 2]) / frame.K[0, 0]
-    y = (pixels[:, 1] - frame.K[1, 2]) / frame.K[1, 1]
-    return np.column_stack([x * z, y * z, z])
+    return pixel_rays(frame.K, pixels) * z[:, None]
 
 
 def _edge_pixels(grey: NDArray[np.uint8], settings: BoundarySettings) -> NDArray[np.int64]:

@@ -195,6 +195,18 @@ def project_points(K: Floats, points_cam: Floats) -> Floats:
     return uvw[:, :2] / uvw[:, 2:]
 
 
+def pixel_rays(K: Floats, pixels: NDArray[np.number]) -> Floats:
+    """Return (N, 3) camera points at depth 1 that (N, 2) pixels (u right, v down) show."""
+    x = (pixels[:, 0] - K[0, 2]) / K[0, 0]
+    y = (pixels[:, 1] - K[1, 2]) / K[1, 1]
+    return np.column_stack([x, y, np.ones(len(pixels))])
+
+
+def sampling_step(pixels: int, most: int) -> int:
+    """Return the distance of the rows and columns of an image of so many pixels that leave about ``most`` [px]."""
+    return max(int(np.ceil(np.sqrt(pixels / most))), 1)
+
+
 def deproject_depth(K: Floats, depth: NDArray[np.floating]) -> Floats:
     """Return the organised cloud of a depth image: (H, W, 3) points in the camera frame [m].
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.frame import Frame
-from perception.geometry import Floats
+from perception.geometry import Floats, pixel_rays, sampling_step
 
 _MOST = 50_000  # number of pixels of the grid; at 0.9 m and 2400 px its points are 2 mm apart
 
@@ -59,17 +59,10 @@ class GridCloud:
     def of(cls, frame: Frame) -> "GridCloud":
         """Return the points of a frame."""
         height, width = frame.depth.shape
-        step = max(int(np.ceil(np.sqrt(width * height / _MOST))), 1)
+        step = sampling_step(width * height, _MOST)
         depth = frame.depth[::step, ::step]
         cells = np.flatnonzero(depth)
         z = depth.ravel()[cells].astype(np.float64)
         v, u = np.divmod(cells, depth.shape[1])
         rays = pixel_rays(frame.K, np.column_stack([u, v]) * float(step))
         return cls(points_cam=rays * z[:, None], cells=cells, shape=depth.shape, step=step, K=frame.K)
-
-
-def pixel_rays(K: Floats, pixels: Floats) -> Floats:
-    """Return (N, 3) camera points at depth 1 that (N, 2) pixels (u, v) show."""
-    y = (pixels[:, 1] - K[1, 2]) / K[1, 1]
-    x = (pixels[:, 0] - K[0, 2] - K[0, 1] * y) / K[0, 0]
-    return np.column_stack([x, y, np.ones(len(pixels))])

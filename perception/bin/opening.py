@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.bin.cloud import GridCloud, Plane, pixel_rays
-from perception.geometry import Floats, make_transform
+from perception.bin.cloud import GridCloud, Plane
+from perception.geometry import Floats, make_transform, pixel_rays
 
 LEAST_DEPTH = 0.01  # depth below the rim from which a point lies in the bin [m]
 _LEAST_SIDE = 0.03  # side of the smallest opening that is looked for [m]

@@ -7,7 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.frame import Frame
-from perception.geometry import NEAR, Floats, invert_transform, project_points, transform_points
+from perception.geometry import (
+    NEAR,
+    Floats,
+    invert_transform,
+    pixel_rays,
+    project_points,
+    sampling_step,
+    transform_points,
+)
 
 _MOST = 16_384  # number of pixels that are looked at; a share of them is exact to half a percent
 _TOLERANCE = 0.015  # distance outside the box at which a point still counts as in it: rims, noise, an inexact pose [m]
@@ -57,7 +65,7 @@ class DepthSamples:
     def of(cls, frame: Frame) -> "DepthSamples":
         """Return the samples of a frame."""
         height, width = frame.depth.shape
-        step = max(int(np.ceil(np.sqrt(width * height / _MOST))), 1)
+        step = sampling_step(width * height, _MOST)
         depth = frame.depth[::step, ::step]
         missing = _odd_value(depth[depth > 0])
         share = 0.0 if missing is None else float(np.mean(depth == np.float32(missing)))
@@ -90,8 +98,8 @@ class DepthSamples:
         if len(v) == 0:
             return BoxFit(view=view)
         z = self.depth[v, u].astype(np.float64) * scale
-        x, y = (u * self.step - K[0, 2]) / K[0, 0] * z, (v * self.step - K[1, 2]) / K[1, 1] * z
-        points_bin = transform_points(invert_transform(T_cam_bin), np.column_stack([x, y, z]))
+        rays = pixel_rays(K, np.column_stack([u, v]) * self.step)
+        points_bin = transform_points(invert_transform(T_cam_bin), rays * z[:, None])
         beside, height = np.abs(points_bin[:, :2]).T, points_bin[:, 2]
         inside = (beside[0] <= half[0] + _TOLERANCE) & (beside[1] <= half[1] + _TOLERANCE)
         inside &= (height >= -_BELOW) & (height <= inner_size[2] + _HEADROOM)

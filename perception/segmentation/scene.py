@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.boundary import BoundaryCloud
-from perception.geometry import Floats, require_shape
+from perception.geometry import Floats, pixel_rays, require_shape
 from perception.runtime.records import RecordError, RecordFormat
 from perception.segmentation.surface import Surface
 from perception.shape import shape_values
@@ -119,12 +119,11 @@ class BoundaryScene:
         u0, v0, cell = arrays["surface_frame"].tolist()
         surface = Surface(depth=arrays["surface"] * np.float32(SURFACE_UNIT), u0=u0, v0=v0, cell=cell)
         K, depth, pixels = arrays["K"], arrays["depth"].astype(np.float64), arrays["pixels"].astype(np.int64)
-        rays = np.column_stack([(pixels - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones(len(pixels))])
         return cls(
             part=str(arrays["part"]),
             d_max=float(arrays["d_max"]),
             boundary=BoundaryCloud(
-                points_cam=rays * depth[:, None],
+                points_cam=pixel_rays(K, pixels) * depth[:, None],
                 tangents_cam=np.divide(tangents, lengths, out=np.zeros_like(tangents), where=lengths > 0),
                 linearity=arrays["linearity"] / 255.0,
                 pixels=pixels,

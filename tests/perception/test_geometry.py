@@ -16,6 +16,7 @@ from perception.geometry import (
     invert_transform,
     make_transform,
     matrix_from_quat,
+    pixel_rays,
     project_points,
     quat_from_matrix,
     random_rotation,
@@ -24,6 +25,7 @@ from perception.geometry import (
     rotation_about,
     rotation_angle,
     rotation_from_6d,
+    sampling_step,
     transform_point_each,
     transform_points,
 )
@@ -270,6 +272,19 @@ def test_x_is_right_y_is_down_and_z_is_forward() -> None:
     cloud_cam = deproject_depth(K, np.ones((7, 9)))
     assert cloud_cam[3, 8, 0] > 0 > cloud_cam[3, 0, 0]
     assert cloud_cam[6, 4, 1] > 0 > cloud_cam[0, 4, 1]
+
+
+def test_a_ray_has_depth_1_and_is_shown_by_its_pixel() -> None:
+    pixels = np.array([[6, 1], [4, 3], [0, 6]])
+    rays = pixel_rays(K, pixels)
+    np.testing.assert_array_equal(rays[:, 2], 1.0)
+    np.testing.assert_allclose(rays[0], [2 / 600, -2 / 600, 1.0])
+    np.testing.assert_allclose(project_points(K, rays), pixels, atol=1e-12)
+
+
+@pytest.mark.parametrize(("pixels", "step"), [(0, 1), (50_000, 1), (50_001, 2), (200_000, 2), (1280 * 960, 5)])
+def test_every_step_th_row_and_column_of_an_image_are_at_most_about_so_many(pixels: int, step: int) -> None:
+    assert sampling_step(pixels, 50_000) == step
 
 
 @settings(deadline=None)
