@@ -47,12 +47,7 @@ def activated_sums(
     there_BNC: Tensor, here_BNC: Tensor, neighbours_BNK: Tensor, norm: nn.BatchNorm2d, slope: float
 ) -> Tensor:
     """Return the (B, N, K, C) normalised activations of the sums ``there[j] + here[i]`` over the edges (i, j)."""
-    settings = NormSettings(norm.eps, slope, neighbours_BNK)
-    out, mean, variance = _ActivatedSums.apply(  # type: ignore[no-untyped-call]
-        there_BNC, here_BNC, norm.weight, norm.bias, settings
-    )
-    _keep_statistics(norm, Normalised(mean, variance), neighbours_BNK.numel())
-    return cast(Tensor, out)
+    return _of_sums(_ActivatedSums, there_BNC, here_BNC, NormSettings(norm.eps, slope, neighbours_BNK), norm)
 
 
 def largest_activation(sums_BNKC: Tensor, norm: nn.BatchNorm2d, slope: float) -> Tensor:
@@ -68,11 +63,15 @@ def largest_sum_activation(
     there_BNC: Tensor, here_BNC: Tensor, neighbours_BNK: Tensor, norm: nn.BatchNorm2d, slope: float
 ) -> Tensor:
     """Return the (B, N, C) maxima of :func:`activated_sums` over the edges of a point, which are not stored."""
-    settings = NormSettings(norm.eps, slope, neighbours_BNK)
-    out, mean, variance = _LargestSum.apply(  # type: ignore[no-untyped-call]
-        there_BNC, here_BNC, norm.weight, norm.bias, settings
-    )
-    _keep_statistics(norm, Normalised(mean, variance), neighbours_BNK.numel())
+    return _of_sums(_LargestSum, there_BNC, here_BNC, NormSettings(norm.eps, slope, neighbours_BNK), norm)
+
+
+def _of_sums(
+    layer: type[torch.autograd.Function], there: Tensor, here: Tensor, settings: NormSettings, norm: nn.BatchNorm2d
+) -> Tensor:
+    """Return what a layer gives for sums that are not stored, and update the running statistics."""
+    out, mean, variance = layer.apply(there, here, norm.weight, norm.bias, settings)  # type: ignore[no-untyped-call]
+    _keep_statistics(norm, Normalised(mean, variance), settings.neighbours_BNK.numel())
     return cast(Tensor, out)
 
 
