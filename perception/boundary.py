@@ -15,8 +15,8 @@ from perception.geometry import Floats, pixel_rays, require_shape, transform_poi
 BoundarySource = Literal["grey", "depth", "both"]
 THIN = 0.0005  # height by which the top of a part must exceed the margin, for the sake of noise [m]
 _SAME = 2  # a depth edge this near to a boundary point of a grey edge is the same edge [px]
-COVERED = 0.001  # standard deviation of the bin's position that the margin covers [m]
-UNCERTAIN = 1.0  # standard deviations beyond it by which the box of kept points grows, for each
+COVERED = 0.001  # uncertainty of the bin's surfaces that the margin already allows for, as a standard deviation [m]
+UNCERTAIN = 1.0  # growth of the box of kept points per metre of standard deviation beyond that
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -157,7 +157,8 @@ def extract_boundary(frame: Frame, workspace: Workspace, settings: BoundarySetti
     pixels = np.column_stack([flat % size[0], flat // size[0]])
     points_world = transform_points(frame.T_world_cam, organised_points(frame, pixels))
     # Parts may seem to lie in a floor or a wall whose place is uncertain.
-    uncertain = UNCERTAIN * max(workspace.translation_std - COVERED, 0.0)
+    end = workspace.T_world_bin[:3, 3] + workspace.T_world_bin[:3, 0] * workspace.inner_size[0] / 2
+    uncertain = UNCERTAIN * max(workspace.std_at(end) - COVERED, 0.0)
     floor = (settings.margin if settings.floor is None else settings.floor) - uncertain
     inside = workspace.contains(
         points_world, margin=settings.margin - uncertain, headroom=settings.headroom, floor=floor

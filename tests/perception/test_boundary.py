@@ -233,6 +233,18 @@ def test_parts_on_a_floor_whose_height_is_uncertain_are_kept(std: float, kept: b
     """The plate lies 2 mm above it, and the margin of 3 mm covers an uncertainty of 1 mm."""
     frame, workspace = seen(flat(0.05, 0.02, 0.002, (0.06, 0.04)), yaw=0.4, turn=TILTED)
     assert (len(extract_boundary(frame, replace(workspace, translation_std=std))) > 0) == kept
+    tilted = replace(workspace, rotation_std=std / (INNER[0] / 2))  # as much at the ends of the bin
+    assert (len(extract_boundary(frame, tilted)) > 0) == kept
+
+
+@pytest.mark.parametrize(("std", "kept"), [(0.0005, False), (0.003, True)])
+def test_parts_at_a_wall_whose_place_is_uncertain_are_kept(std: float, kept: bool) -> None:
+    """The long side of the plate lies 2 mm from a wall."""
+    beside = flat(0.05, INNER[1] / 2 - 0.002 - 0.005, 0.02, (0.06, 0.01))
+    frame, workspace = seen(beside, yaw=0.4, turn=TILTED)
+    points = extract_boundary(frame, replace(workspace, translation_std=std)).points_cam
+    points_plate = on_plate(frame, workspace, points, beside)
+    assert (np.abs(points_plate[:, 1] - 0.005).min() < 0.001) == kept
 
 
 # --- every point, once and in order ----------------------------------------------------------------------------------

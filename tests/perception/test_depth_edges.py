@@ -141,7 +141,9 @@ def test_a_frame_without_a_grey_image_has_the_outlines_of_its_depth() -> None:
     assert frame.has_grey
     assert not blind.has_grey
     cloud = extract_boundary(blind, workspace)
-    assert cloud.source == "depth"
+    assert cloud.source == cloud.only(np.arange(3)).source == "depth"
+    aside = replace(workspace, T_world_bin=workspace.T_world_bin @ make_transform(translation=(5.0, 0.0, 0.0)))
+    assert extract_boundary(blind, aside).source == "depth"  # nothing of the bin is in view
     points_plate = on_plate(frame, workspace, cloud.points_cam)
     np.testing.assert_allclose(points_plate[:, 2], 0.0, atol=1e-6)
     assert inward(points_plate).min() >= 0.0
