@@ -24,11 +24,13 @@ def space_tangents(points: Floats, d_max: float) -> tuple[Floats, Floats]:
         (N, 3) unit tangents of arbitrary sign, 0 where a point has no neighbours, and (N,) straightness in [0, 1].
 
     Raises:
-        ValueError: The shape of the points is another one, or ``d_max`` is not positive.
+        ValueError: The shape of the points is another one, a point is not finite, or ``d_max`` is not positive.
     """
     require_shape("points", points, (None, 3))
     if not 0 < d_max < np.inf:
         raise ValueError(f"d_max must be positive and finite, got {d_max}")
+    if not np.isfinite(points).all():
+        raise ValueError("points must be finite: leave out pixels without a measurement")
     if len(points) == 0:
         return np.zeros((0, 3)), np.zeros(0)
     ranks = np.arange(1, min(NEIGHBOURS, len(points)) + 1)

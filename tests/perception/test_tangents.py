@@ -36,5 +36,7 @@ def test_points_without_neighbours_have_no_tangent() -> None:
 def test_nonsense_is_named() -> None:
     with pytest.raises(ValueError, match=r"points must be \(N, 3\), got \(4, 2\)"):
         space_tangents(np.zeros((4, 2)), 0.1)
+    with pytest.raises(ValueError, match="points must be finite: leave out pixels without a measurement"):
+        space_tangents(np.vstack([LINE, [[np.nan, 0.0, 1.0]]]), 0.1)
     with pytest.raises(ValueError, match="d_max must be positive and finite, got 0"):
         space_tangents(LINE, 0)
