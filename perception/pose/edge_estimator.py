@@ -15,7 +15,7 @@ from perception.part import PartModel
 from perception.pose.clustering import cluster_poses
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.hypotheses.voting import vote
-from perception.pose.model.appearances import SeenEdges, edge_appearances
+from perception.pose.model.appearances import edge_appearances
 from perception.pose.model.edge_models import edge_model
 from perception.pose.model.pair_features import build_table
 from perception.pose.model.thinning import thin_points
@@ -142,7 +142,8 @@ class EdgePoseEstimator:
         return max(poses, key=lambda pose: pose.score, default=None)
 
     def _judged(self, T: Floats, points: Floats, tangents: Floats, index: BoundaryIndex, instance_idx: int) -> EdgePose:
-        limits, seen = self.config.search.verification, self._seen(T)
+        limits = self.config.search.verification
+        seen = self._edges.seen_from(view_direction(T, self._edges.centre))
         gate, max_angle = limits.edge_distance * self.part.d_max, limits.edge_angle
         matched = index.match(T, *seen, gate=gate, max_angle=max_angle) >= 0
         explained = explained_points(T, *seen, points, tangents, gate, float(np.cos(max_angle)))
@@ -151,7 +152,3 @@ class EdgePoseEstimator:
         return EdgePose(
             T_cam_part=T, instance_idx=instance_idx, explained=shares[0], edges=shares[1], verified=verified
         )
-
-    def _seen(self, T: Floats) -> tuple[Floats, Floats]:
-        edges: SeenEdges = self._edges
-        return edges.seen_from(view_direction(T, edges.centre))

@@ -41,7 +41,8 @@ class ConfidenceConfig:
         patch_weight: Coefficient of each further sample of such a patch.
         stray: Share of the group's boundary points off the part, before its surface, up to which they say nothing.
         stray_weight: Coefficient of a larger share of them.
-        noise: Standard deviation of the frame's depth up to which it says nothing [m].
+        noise: Standard deviation of the frame's depth up to which it says nothing [m]. It is a median over the bin:
+            small round parts count as noise where they cover all of it.
         noise_weight: Coefficient of more noise [1/m]. Noise shifts the other predictors, so that a score fitted to good
             frames would promise too much.
 

@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from perception.geometry import Floats
 from perception.instance import Instance
 from perception.metrics.pose_errors import pose_error
 from perception.pose import edge_estimator as module
 from perception.pose.edge_estimator import UNCHECKED, EdgeEstimatorConfig, EdgePoseEstimator
 from perception.pose.model import appearances
+from perception.pose.verification.boundary_index import BoundaryIndex
+from perception.pose.verification.refinement import EdgeRefinement, RefinedPose, refine_edges
 from tests.perception.pose.estimator_scene import CONFIG
 from tests.perception.pose.test_estimator import BOTH, ELL, PAIR
 
@@ -56,3 +59,25 @@ def test_nonsense_is_named(estimator: EdgePoseEstimator) -> None:
     for name in ("min_explained", "min_edges"):
         with pytest.raises(ValueError, match=rf"{name} must be in \[0, 1\], got 1.5"):
             EdgeEstimatorConfig(**{name: 1.5})
+
+
+@pytest.mark.parametrize("limits", [{"min_edges": 1.0, "min_explained": 0.0}, {"min_edges": 0.0, "min_explained": 1.0}])
+def test_a_pose_is_verified_by_its_edges_and_by_the_points_that_it_explains(
+    estimator: EdgePoseEstimator, limits: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(estimator, "config", EdgeEstimatorConfig(search=CONFIG, **limits))
+    poses = estimator.estimate(BOTH.boundary.points_cam, BOTH.groups())
+    assert len(poses) == 2
+    assert not any(pose.verified for pose in poses)
+
+
+def test_the_finalists_are_refined_on_all_edges(estimator: EdgePoseEstimator, monkeypatch: pytest.MonkeyPatch) -> None:
+    refined: list[int] = []
+
+    def refine(T: Floats, edges: object, index: BoundaryIndex, settings: EdgeRefinement) -> RefinedPose:
+        refined.append(id(edges))
+        return refine_edges(T, edges, index, settings)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "refine_edges", refine)
+    estimator.estimate(BOTH.boundary.points_cam, BOTH.groups())
+    assert 0 < refined.count(id(estimator._edges)) <= 2 * estimator.config.finalists

@@ -159,6 +159,12 @@ def test_where_the_bins_place_is_uncertain_the_penalty_grows_with_the_penetratio
         pytest.approx(2.0),
         np.inf,
     ]  # (z / std)^2 / 2, up to four of them
+    centre = (allowed[:3, :3] @ ELL.centre + allowed[:3, 3] + (0, 0, 0.004)) @ T_WORLD_CAM[:3, :3].T + T_WORLD_CAM[
+        :3, 3
+    ]
+    lever = np.linalg.norm(centre - unsure.T_world_bin[:3, 3])
+    turned = within(replace(unsure, translation_std=0.0, rotation_std=0.004 / lever), bodies=BodyConfig(protrusion=0.1))
+    assert turned.penalty(shifted(allowed, z=0.004), frame) == pytest.approx(0.5)
 
 
 def test_a_right_pose_in_a_bin_that_is_believed_too_high_is_found_with_a_lower_score() -> None:
@@ -171,6 +177,21 @@ def test_a_right_pose_in_a_bin_that_is_believed_too_high_is_found_with_a_lower_s
     assert 0.5 < found.score < right.score
     odds = [each.score / (1 - each.score) for each in (right, found)]
     assert odds[0] / odds[1] < np.exp(0.5)
+    sure, unsure = (
+        within(each).estimate_scene(scene.boundary, turned_world(scene))[0]
+        for each in (bin_with_floor_at(lowest(LEANING) + 0.001), replace(high, translation_std=0.01))
+    )
+    assert is_at(unsure, LEANING)
+    assert unsure.score < sure.score
+
+
+def test_what_the_bin_takes_off_a_pose_also_narrows_its_margin_over_others() -> None:
+    scene = scene_of(ELL, LEANING)
+    group = ESTIMATOR._thinned_group(scene.boundary, ESTIMATOR._index(scene.boundary), scene.frame, 0.0)
+    scorer = HypothesisScorer(ESTIMATOR._models, group, ESTIMATOR.config)
+    right, rival = (scorer.refine_coarsely(T) for T in (LEANING, shifted(LEANING, x=0.02)))
+    free, penalised = (scorer.estimate(replace(right, penalty=p), [rival], 9.0, 0) for p in (0.0, 0.5))
+    assert free.margin - penalised.margin == pytest.approx(0.5)
 
 
 def test_the_bin_is_given_when_an_estimator_is_made(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -147,3 +147,10 @@ def test_an_impossible_hypothesis_is_missed_if_it_is_the_best() -> None:
     only = searching(Scorer({}), 5.0, most=4.0)
     assert only.missed is not None
     assert only.best() is None
+
+
+def test_a_sure_hypothesis_with_a_penalty_ends_no_search() -> None:
+    scorer = Scorer({2.0: 2.3})
+    search = GroupSearch(scorer, CONFIG, lambda T: 0.1 if place(T) == 2.0 else 0.0, 7)  # type: ignore[arg-type]
+    search.add(poses(0.0, 1.0, 2.0, 3.0, 4.0))
+    assert scorer.asked == [("coarse", float(x)) for x in range(5)]

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from perception.frame import Frame
+from perception.frame import Frame, Workspace, bin_region
+from perception.geometry import make_transform, rotation_about
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.verification.confidence import ConfidenceConfig
 from tests.perception.pose import observed_part as at
@@ -39,3 +40,16 @@ def test_noise_lowers_the_scores_and_changes_no_pose() -> None:
         scores.append((estimate.score, estimate.T_cam_part.tobytes()))
     assert scores[0][0] < scores[1][0]
     assert scores[0][1] == scores[1][1]
+
+
+def test_only_the_noise_in_the_bin_counts() -> None:
+    scene = scene_of(ELL, POSE)
+    T_world_bin = make_transform(rotation_about((1, 0, 0), np.pi), (0.0, 0.0, at.FLOOR))
+    workspace = Workspace(T_world_bin=T_world_bin, inner_size=np.array([0.08, 0.08, 0.1]))
+    estimator = quick_estimator(ELL, EstimatorConfig()).within(workspace)
+    frame = noisy(scene.frame, 0.002)
+    u0, v0, u1, v1 = bin_region(workspace, frame.K, frame.T_world_cam, at.SIZE, margin=0.0, headroom=0.0)
+    assert (u1 - u0) * (v1 - v0) < 0.5 * frame.depth.size
+    depth = frame.depth.copy()
+    depth[v0:v1, u0:u1] = scene.frame.depth[v0:v1, u0:u1]
+    assert estimator._noise(replace(frame, depth=depth)) < 0.0002

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.geometry import Floats, rotation_about
+from perception.geometry import Floats, rotation_about, transform_points
 from perception.part import PartModel
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.model.surface_models import surface_model
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.boundary_index import index_boundary
-from perception.pose.verification.mismatch import Mismatch, find_mismatch
+from perception.pose.verification.mismatch import DEEPEST, OFF, Mismatch, find_mismatch
 from perception.pose.verification.verification import ObservedGroup, VerificationConfig
 from tests.perception.pose import observed_part as at
 from tests.perception.pose.estimator_scene import Scene, quick_estimator, scene_of
@@ -97,3 +97,40 @@ def test_what_covers_the_part_is_no_patch() -> None:
         frame=at.framed(np.full(at.SIZE[::-1], 0.3, np.float32)),
     )
     assert find_mismatch(T, surface_model(MODEL), group, CONFIG) == Mismatch(patch=0, stray=0.0)
+
+
+@pytest.mark.parametrize(
+    ("height", "beside", "stray"),
+    [
+        (3 * OFF, 0, 1.0),  # before the plate, off it
+        (3 * OFF, 40, 0.0),  # as many beside the plate: another part, which lies across this one
+        (0.5, 0, 0.0),  # on the plate
+        (-12 * OFF, 0, 0.0),  # behind the part
+    ],
+)
+def test_points_before_the_part_and_off_it_are_stray(height: float, beside: int, stray: float) -> None:
+    surface, T = surface_model(MODEL), at.pose_of(MODEL, rotation_about((1, 0, 0), np.pi))
+    group = points_over(T, height * surface.spacing, beside)
+    share = find_mismatch(T, surface, group, CONFIG).stray
+    assert share == pytest.approx(stray * 40 / (40 + beside))
+
+
+def test_points_far_before_the_part_are_of_something_else() -> None:
+    surface, T = surface_model(MODEL), at.pose_of(MODEL, rotation_about((1, 0, 0), np.pi))
+    assert find_mismatch(T, surface, points_over(T, 0.9 * DEEPEST * MODEL.d_max, 0), CONFIG).stray == 1.0
+    assert find_mismatch(T, surface, points_over(T, 1.1 * DEEPEST * MODEL.d_max, 0), CONFIG).stray == 0.0
+
+
+def points_over(T: Floats, height: float, beside: int) -> ObservedGroup:
+    """Return 40 points at a height over the middle of the plate's bare side [m], and so many 20 mm beside its end."""
+    rng = np.random.default_rng(0)
+    over = np.column_stack([rng.uniform(-0.01, 0.02, 40), rng.uniform(-0.015, 0.0, 40), np.full(40, 0.004 + height)])
+    aside = np.column_stack([np.full(beside, 0.05), rng.uniform(-0.015, 0.0, beside), np.full(beside, 0.004)])
+    points_cam = transform_points(T, np.vstack([over, aside]))
+    along = np.tile([1.0, 0.0, 0.0], (len(points_cam), 1))
+    return ObservedGroup(
+        points_cam=points_cam,
+        tangents_cam=along,
+        boundary=index_boundary(points_cam, along, MODEL.d_max),
+        frame=scene_of(MODEL, T).frame,
+    )
