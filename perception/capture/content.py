@@ -29,12 +29,15 @@ class Content:
         cloud: Points; None if the file holds a depth image.
         grey: (H, W) uint8 grey image; None if there is none.
         calibration: Calibration that the file holds; None if it holds none.
+        depth_scale: Length of one unit of the depth [m] that the file states apart from its calibration; None if it
+            states none.
     """
 
     depth: NDArray[np.generic] | None = None
     cloud: Cloud | None = None
     grey: NDArray[np.uint8] | None = None
     calibration: Calibration | None = None
+    depth_scale: float | None = None
 
 
 def load_content(path: Path) -> Content:
@@ -67,6 +70,8 @@ def _decoded(path: Path, suffix: str) -> Content:
         # Three floating-point channels are coordinates. OpenCV, which reads images, gives the first channel last.
         points = raw.astype(np.float64) if suffix == ".npy" else raw[:, :, ::-1].astype(np.float64)
         return Content(cloud=Cloud(points=points))
+    if raw.ndim == 2 and raw.shape[1] == 3 and raw.dtype.kind == "f":  # no depth image has three columns
+        return Content(cloud=Cloud(points=raw.astype(np.float64)[None]))
     return Content(depth=raw)
 
 

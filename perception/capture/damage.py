@@ -31,7 +31,8 @@ def decoding(path: Path) -> Iterator[None]:
             raise
         if isinstance(error, ValueError) and " must " in str(error):
             raise ValueError(f"{path.name}: {error}") from error
+        said = f" of the format that {path.suffix} says" if path.suffix and not path.is_dir() else ""
         raise ValueError(
-            f"{path.name} must be a complete file of the format that {path.suffix} says, but cannot be read "
+            f"{path.name} must be a complete {'recording' if path.is_dir() else 'file'}{said}, but cannot be read "
             f"({type(error).__name__}: {error}): copy it again, or save it anew"
         ) from error

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from perception.capture.calibration import Calibration, require_pose
 from perception.capture.calibration_files import read_calibration
-from perception.capture.cloud import Cloud
 from perception.capture.cloud_frame import images_of_cloud
 from perception.capture.content import Content, load_content
 from perception.capture.damage import decoding
@@ -85,9 +84,7 @@ def read_frame_with_report(
         ValueError: A file is damaged, or the files do not fit together; the message says what to do.
     """
     path, options = Path(path), options or ReadOptions()
-    content = _recorded(path, options) if is_recording(path) else load_content(path)
-    if options.grid is not None and _is_list_of_points(content.depth):
-        content = replace(content, depth=None, cloud=Cloud(points=np.asarray(content.depth, np.float64)[None]))
+    content = _recorded(path, options, calibrated=calibration is None) if is_recording(path) else load_content(path)
     if options.grid is not None and content.cloud is not None:
         content = replace(content, cloud=content.cloud.in_grid(*options.grid))
     if grey is not None:
@@ -140,23 +137,21 @@ def frame_of_content(
     return frame, report
 
 
-def _is_list_of_points(stored: NDArray[np.generic] | None) -> bool:
-    """Return whether an array is one of (N, 3) coordinates, rather than a depth image."""
-    return stored is not None and stored.ndim == 2 and stored.shape[1] == 3 and stored.dtype.kind == "f"
-
-
-def _recorded(path: Path, options: ReadOptions) -> Content:
+def _recorded(path: Path, options: ReadOptions, *, calibrated: bool) -> Content:
     require_rosbags(path)
     if not path.exists():
         raise FileNotFoundError(f"there is no recording {path}")
     with decoding(path):
-        return recording_content(path, options.index, options.topic, options.grey_topic)
+        return recording_content(path, options.index, options.topic, options.grey_topic, calibrated=calibrated)
 
 
 def _calibration(
     given: Calibration | PathLike | Matrix | None, content: Content, options: ReadOptions, path: Path
 ) -> Calibration | None:
-    """Return the calibration, fitted to the size of the image; None if there is none."""
+    """Return the calibration, fitted to the size of the image, with the unit that the content states if it has none.
+
+    None stands for no calibration.
+    """
     grid = content.depth if content.depth is not None else content.cloud.points if content.cloud is not None else None
     size = None if grid is None or grid.ndim < 2 or grid.shape[0] == 1 else (grid.shape[1], grid.shape[0])
     if isinstance(given, str | Path):
@@ -167,6 +162,8 @@ def _calibration(
         camera = content.calibration
     else:
         camera = given if isinstance(given, Calibration) else Calibration(K=np.asarray(given, np.float64))
+    if camera is not None and camera.depth_scale is None:
+        camera = replace(camera, depth_scale=content.depth_scale)
     if camera is None or size is None or (content.cloud is not None and options.project):
         return camera
     if options.fit == "scale":

@@ -7,7 +7,7 @@ import importlib.util
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -29,9 +29,27 @@ from perception.capture.ros_messages import (
 SUFFIXES = (".bag", ".mcap", ".db3")  # recordings in one file; a folder with metadata.yaml is one, too
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CLOUD, _INFO, _TEXT = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CameraInfo", "std_msgs/msg/String"
-_TRANSPORTS = ("compressedDepth", "compressed", "zstd")  # last parts of the topics of compressed images
 _REALSENSE = re.compile(r"^/device_\d+/sensor_\d+/")  # topics of librealsense's own recordings
 _UNITS = re.compile(r"^/device_\d+/sensor_\d+/option/Depth[ _]Units/value$")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Topic:
+    """Topic of a recording, with all its connections: in a bag of ROS 1 each node that publishes has its own."""
+
+    name: str
+    msgtype: str
+    count: int  # number of messages
+    connections: tuple[Any, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Registered:
+    """What a grey image has in common with the depth image that it is registered to."""
+
+    size: tuple[int, int]  # width and height [px]
+    frame_id: str  # frame of reference
+    time: int  # time of the recording [ns]; the grey image's may differ
 
 
 def is_recording(path: Path) -> bool:
@@ -47,18 +65,27 @@ def require_rosbags(path: Path) -> None:
         )
 
 
-def recording_content(path: Path, index: int = 0, topic: str | None = None, grey_topic: str | None = None) -> Content:
+def recording_content(
+    path: Path,
+    index: int = 0,
+    topic: str | None = None,
+    grey_topic: str | None = None,
+    *,
+    calibrated: bool = True,
+) -> Content:
     """Read one frame of a recording.
 
-    The grey image is the nearest in time of a topic with images of the same size and the same frame of reference. Of
-    recordings of librealsense none is taken unless it is named, since colour has a lens of its own and infrared shows
-    the projected pattern.
+    The grey image is the nearest in time of a topic with uncompressed images of the same size and the same frame of
+    reference. Of recordings of librealsense none is taken unless it is named, since colour has a lens of its own and
+    infrared shows the projected pattern.
 
     Args:
         path: ROS 1 bag, ROS 2 bag (folder or .db3), MCAP file, or a recording of librealsense (.bag, .db3).
         index: Number of the frame in the recording; negative ones count from the end.
         topic: Topic of the depth images or clouds; None for the only one.
         grey_topic: Topic of the grey or colour images; None for the one that is registered, if there is one.
+        calibrated: Whether to read the calibration of the depth images; False where another one is used, so that one
+            that cannot be used is no error.
 
     Raises:
         ModuleNotFoundError: The extra ``cameras`` is not installed.
@@ -68,13 +95,14 @@ def recording_content(path: Path, index: int = 0, topic: str | None = None, grey
         source = _chosen(reader, path, topic)
         message, time = _message(reader, source, index, path)
         if source.msgtype == _CLOUD:
-            return Content(cloud=cloud_of(message, source.topic))
-        depth = depth_of(message, source.topic)
-        size = (depth.shape[1], depth.shape[0])
+            return Content(cloud=cloud_of(message, source.name))
+        depth = depth_of(message, source.name)
+        frame = _Registered(size=(depth.shape[1], depth.shape[0]), frame_id=message.header.frame_id, time=time)
         return Content(
             depth=depth,
-            grey=_grey(reader, source, message, time, grey_topic),
-            calibration=_calibration(reader, source, size),
+            grey=_grey(reader, source, frame, grey_topic),
+            calibration=_calibration(reader, source, frame.size) if calibrated else None,
+            depth_scale=_depth_scale(reader),
         )
 
 
@@ -90,7 +118,7 @@ def frame_count(path: Path, topic: str | None = None) -> int:
         ValueError: The recording has no such topic, or several and none is named.
     """
     with _opened(path) as reader:
-        return int(_chosen(reader, path, topic).msgcount)
+        return _chosen(reader, path, topic).count
 
 
 @contextmanager
@@ -103,100 +131,130 @@ def _opened(path: Path) -> Iterator[Any]:
         yield reader
 
 
-def _chosen(reader: Any, path: Path, topic: str | None) -> Any:
-    """Return the connection of the depth images or clouds; images are preferred to clouds of the same camera."""
-    known = {each.topic: each for each in reader.connections}
-    listed = ", ".join(f"{each.topic} ({each.msgtype.rsplit('/', 1)[-1]})" for each in reader.connections)
+def _topics(reader: Any) -> list[_Topic]:
+    """Return the topics, in the order of their first connections."""
+    found: dict[tuple[str, str], list[Any]] = {}
+    for each in reader.connections:
+        found.setdefault((each.topic, each.msgtype), []).append(each)
+    return [
+        _Topic(name=name, msgtype=kind, count=sum(each.msgcount for each in ones), connections=tuple(ones))
+        for (name, kind), ones in found.items()
+    ]
+
+
+def _chosen(reader: Any, path: Path, topic: str | None) -> _Topic:
+    """Return the topic of the depth images or clouds; images are preferred to clouds of the same camera."""
+    topics = _topics(reader)
+    listed = ", ".join(f"{each.name} ({_short(each)})" for each in topics) or "no topic"
     if topic is not None:
-        if topic not in known:
-            raise ValueError(f"{path.name} must have the topic {topic}, got {listed or 'no topic'}")
-        return known[topic]
-    depths = [each for each in reader.connections if each.msgcount and _holds_depth(reader, each)]
-    found = depths or [each for each in reader.connections if each.msgcount and each.msgtype == _CLOUD]
+        named = [each for each in topics if each.name == topic]
+        if not named:
+            raise ValueError(f"{path.name} must have the topic {topic}, got {listed}")
+        usable = [each for each in named if each.msgtype in (*_IMAGES, _CLOUD)]
+        if not usable:
+            raise ValueError(
+                f"the topic {topic} of {path.name} must hold depth images or clouds, got {_short(named[0])}: name "
+                f"another one of {listed}"
+            )
+        return usable[0]
+    depths = [each for each in topics if each.count and _holds_depth(reader, each)]
+    found = depths or [each for each in topics if each.count and each.msgtype == _CLOUD]
     if len(found) != 1:
-        names = ", ".join(each.topic for each in found)
-        what = f"the {len(found)} topics {names}: name one by topic" if found else f"only {listed or 'no topic'}"
+        names = ", ".join(each.name for each in found)
+        what = f"the {len(found)} topics {names}: name one by topic" if found else f"only {listed}"
         raise ValueError(f"{path.name} must have one topic of depth images or clouds, got {what}")
     return found[0]
 
 
-def _holds_depth(reader: Any, connection: Any) -> bool:
-    if connection.msgtype not in _IMAGES:
+def _short(topic: _Topic) -> str:
+    """Return the name of a topic's type without its package."""
+    return topic.msgtype.rsplit("/", 1)[-1]
+
+
+def _holds_depth(reader: Any, topic: _Topic) -> bool:
+    if topic.msgtype not in _IMAGES:
         return False
-    message = _first(reader, connection)
-    if connection.msgtype == _IMAGES[1]:
+    message = _first(reader, topic)
+    if topic.msgtype == _IMAGES[1]:
         return is_compressed_depth(message)
     # 16-bit grey images have the encoding mono16, too; only librealsense means depth by it.
     stated = message.encoding in DEPTH_ENCODINGS and message.encoding != "mono16"
-    return stated or (message.encoding == "mono16" and "/Depth_" in connection.topic)
+    return stated or (message.encoding == "mono16" and "/Depth_" in topic.name)
 
 
-def _first(reader: Any, connection: Any) -> Any:
-    _, _, raw = next(iter(reader.messages([connection])))
-    return reader.deserialize(raw, connection.msgtype)
+def _first(reader: Any, topic: _Topic) -> Any:
+    _, _, raw = next(iter(reader.messages(topic.connections)))
+    return reader.deserialize(raw, topic.msgtype)
 
 
-def _message(reader: Any, connection: Any, index: int, path: Path) -> tuple[Any, int]:
-    count = int(connection.msgcount)
+def _message(reader: Any, topic: _Topic, index: int, path: Path) -> tuple[Any, int]:
+    count = topic.count
+    if count == 0:
+        raise ValueError(f"the topic {topic.name} of {path.name} must hold depth images or clouds, got none")
     if not -count <= index < count:
         raise ValueError(f"index must be one of the {count} frames of {path.name}, 0 to {count - 1}, got {index}")
-    _, time, raw = next(islice(reader.messages([connection]), index % count, None))
-    return reader.deserialize(raw, connection.msgtype), int(time)
+    _, time, raw = next(islice(reader.messages(topic.connections), index % count, None))
+    return reader.deserialize(raw, topic.msgtype), int(time)
 
 
-def _grey(reader: Any, source: Any, depth: Any, time: int, topic: str | None) -> NDArray[np.uint8] | None:
+def _grey(reader: Any, source: _Topic, depth: _Registered, topic: str | None) -> NDArray[np.uint8] | None:
     """Return the registered grey image that is nearest in time; None if there is none."""
     if topic is not None:
-        found = [each for each in reader.connections if each.topic == topic and each.msgtype in _IMAGES]
+        images = [each for each in _topics(reader) if each.msgtype in _IMAGES]
+        found = [each for each in images if each.name == topic]
         if not found:
-            images = ", ".join(each.topic for each in reader.connections if each.msgtype in _IMAGES)
-            raise ValueError(f"the recording must have images of the topic {topic}, got {images}")
-        return grey_of(_nearest(reader, found[0], time), topic)
-    if _REALSENSE.match(source.topic):
+            names = ", ".join(each.name for each in images)
+            raise ValueError(f"the recording must have images of the topic {topic}, got {names}")
+        return grey_of(_nearest(reader, found[0], depth.time), topic)
+    if _REALSENSE.match(source.name):
         return None
-    others = [
-        each
-        for each in reader.connections
-        if each.msgtype == _IMAGES[0] and each.msgcount and not _holds_depth(reader, each)
-    ]
     registered = []
-    for each in others:
-        first = _first(reader, each)
-        same_size = (first.height, first.width) == (getattr(depth, "height", 0), getattr(depth, "width", 0))
-        if same_size and first.header.frame_id == depth.header.frame_id:
-            registered.append(each)
+    for each in _topics(reader):
+        if each.msgtype == _IMAGES[0] and each.count and not _holds_depth(reader, each):
+            first = _first(reader, each)
+            if (first.width, first.height) == depth.size and first.header.frame_id == depth.frame_id:
+                registered.append(each)
     if len(registered) != 1:
         return None
-    return grey_of(_nearest(reader, registered[0], time), registered[0].topic)
+    return grey_of(_nearest(reader, registered[0], depth.time), registered[0].name)
 
 
-def _nearest(reader: Any, connection: Any, time: int) -> Any:
+def _nearest(reader: Any, topic: _Topic, time: int) -> Any:
     best: tuple[int, bytes] | None = None
-    for _, at, raw in reader.messages([connection]):
+    for _, at, raw in reader.messages(topic.connections):
         if best is None or abs(at - time) < best[0]:
             best = (abs(at - time), bytes(raw))
         elif at > time:
             break
     if best is None:
-        raise ValueError(f"the topic {connection.topic} must hold images, got none")
-    return reader.deserialize(best[1], connection.msgtype)
+        raise ValueError(f"the topic {topic.name} must hold images, got none")
+    return reader.deserialize(best[1], topic.msgtype)
 
 
-def _calibration(reader: Any, source: Any, size: tuple[int, int]) -> Calibration | None:
-    """Return the calibration of images of a size: that of the topic whose name begins most like theirs."""
-    words = [word for word in source.topic.split("/") if word not in _TRANSPORTS]
+def _calibration(reader: Any, source: _Topic, size: tuple[int, int]) -> Calibration | None:
+    """Return the calibration of images of a size: that of the topic whose name begins most like theirs.
+
+    Raises:
+        ValueError: It cannot be used; the message says that another one can take its place.
+    """
+    words = source.name.split("/")
     infos = [
         each
-        for each in reader.connections
-        if each.msgcount and (each.msgtype == _INFO or (each.msgtype == _TEXT and each.topic.endswith("/camera_info")))
+        for each in _topics(reader)
+        if each.count and (each.msgtype == _INFO or (each.msgtype == _TEXT and each.name.endswith("/camera_info")))
     ]
-    infos.sort(key=lambda each: (-_alike(words, each.topic.split("/")), each.msgtype != _INFO, each.topic))
+    infos.sort(key=lambda each: (-_alike(words, each.name.split("/")), each.msgtype != _INFO, each.name))
     rectified = any("rect" in word for word in words)
     for each in infos:
-        found = calibration_of_info(_first(reader, each), each.topic, rectified=rectified)
+        try:
+            found = calibration_of_info(_first(reader, each), each.name, rectified=rectified)
+        except ValueError as error:
+            raise ValueError(
+                f"{error}; to use another calibration of these images, pass it by calibration= (--calibration on the "
+                "command line)"
+            ) from error
         if found.size in (None, size):
-            scale = _depth_scale(reader)
-            return found if scale is None else replace(found, depth_scale=scale)
+            return found
     return None
 
 
@@ -212,7 +270,7 @@ def _alike(first: Iterable[str], second: Iterable[str]) -> int:
 
 def _depth_scale(reader: Any) -> float | None:
     """Return the unit of depth that librealsense records [m]; None for other recordings, whose unit is ROS's."""
-    for each in reader.connections:
-        if each.msgcount and _UNITS.match(each.topic):
+    for each in _topics(reader):
+        if each.count and _UNITS.match(each.name):
             return float(_first(reader, each).data)
     return None

@@ -49,6 +49,8 @@ def depth_of(message: Any, topic: str) -> NDArray[np.generic]:
         if kind not in ("16UC1", "mono16") or image is None or image.dtype != np.uint16:
             raise ValueError(f"{topic} must hold 16-bit PNG images, got {message.format!r}: record the raw images")
         return np.asarray(image)
+    if hasattr(message, "format"):
+        raise ValueError(f"{topic} must hold compressedDepth images, got compressed images of {message.format!r}")
     if message.encoding not in DEPTH_ENCODINGS:
         raise ValueError(f"{topic} must have the encoding 16UC1 or 32FC1 of depth, got {message.encoding!r}")
     return _pixels(message, DEPTH_ENCODINGS[message.encoding], 1, topic)[:, :, 0]

@@ -1,5 +1,6 @@
 """Recordings that rosbags writes, as test doubles of those of a camera."""
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -43,15 +44,15 @@ class Messages:
 
     def info(self, size: tuple[int, int] = (64, 48), *, camera: NDArray[Any] = K, **changes: Any) -> Any:
         types = self.store.types
-        region = types["sensor_msgs/msg/RegionOfInterest"](
-            x_offset=changes.pop("x_offset", 0), y_offset=0, height=0, width=0, do_rectify=False
-        )
+        offsets = {name: changes.pop(name, 0) for name in ("x_offset", "y_offset")}
+        region = types["sensor_msgs/msg/RegionOfInterest"](height=0, width=0, do_rectify=False, **offsets)
         P = np.zeros((3, 4))
         P[:, :3] = changes.pop("projection", camera)
         names = ("D", "K", "R", "P") if self.kind == "ros1" else ("d", "k", "r", "p")
         arrays = (changes.pop("distortion", np.zeros(5)), camera.reshape(-1), np.eye(3).reshape(-1), P.reshape(-1))
         return types["sensor_msgs/msg/CameraInfo"](
-            header=self.header(), height=size[1], width=size[0], distortion_model="plumb_bob",
+            header=self.header(), height=size[1], width=size[0],
+            distortion_model=changes.pop("distortion_model", "plumb_bob"),
             binning_x=changes.pop("binning_x", 0), binning_y=0, roi=region, **dict(zip(names, arrays, strict=True)),
         )  # fmt: skip
 
@@ -84,8 +85,15 @@ class Messages:
             point_step=table.dtype.itemsize, row_step=data.shape[1], data=data.reshape(-1), is_dense=False,
         )  # fmt: skip
 
-    def write(self, path: Path, entries: Sequence[Entry]) -> Path:
-        """Write messages in the order of their times, and return what a user would name."""
+    def write(self, path: Path, entries: Sequence[Entry], *, nodes: int = 1, empty: Sequence[str] = ()) -> Path:
+        """Write messages in the order of their times, and return what a user would name.
+
+        Args:
+            path: Bag of ROS 1, or folder of one of ROS 2.
+            entries: Messages.
+            nodes: Number of nodes that publish the messages of each topic in turn; more than one only in ROS 1.
+            empty: Topics of images without any.
+        """
         store = self.store
         writer: Any
         if self.kind == "ros1":
@@ -94,11 +102,16 @@ class Messages:
             plugin = StoragePlugin.MCAP if self.kind == "mcap" else StoragePlugin.SQLITE3
             writer = Writer2(path, version=9, storage_plugin=plugin)
         with writer:
-            connections: dict[str, Any] = {}
+            for topic in empty:
+                writer.add_connection(topic, "sensor_msgs/msg/Image", typestore=store)
+            connections: dict[tuple[str, int], Any] = {}
+            written: Counter[str] = Counter()
             for topic, time, message in sorted(entries, key=lambda entry: entry[1]):
-                kind = message.__msgtype__
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, kind, typestore=store)
+                kind, key = message.__msgtype__, (topic, written[topic] % nodes)
+                written[topic] += 1
+                if key not in connections:
+                    caller = {"callerid": f"/node_{key[1]}"} if self.kind == "ros1" else {}
+                    connections[key] = writer.add_connection(topic, kind, typestore=store, **caller)
                 raw = store.serialize_ros1(message, kind) if self.kind == "ros1" else store.serialize_cdr(message, kind)
-                writer.write(connections[topic], time, raw)
+                writer.write(connections[key], time, raw)
         return path

@@ -163,6 +163,18 @@ def test_a_grid_that_the_file_does_not_state(tmp_path: Path) -> None:
         read_frame(tmp_path / "a.npz", options=ReadOptions(grid=(7, 7)))
 
 
+def test_an_npy_file_of_n_by_3_points_is_a_cloud(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, scene_points().reshape(-1, 3))
+    with pytest.raises(ValueError, match=r"unorganised cloud \(48 points in one row\) (.|\n)* ReadOptions\(grid="):
+        read_frame(path, calibration=K)
+    organised, report = read_frame_with_report(path, options=ReadOptions(grid=(WIDTH, HEIGHT)))
+    assert report.source == "organised cloud"
+    projected, report = read_frame_with_report(path, calibration=Calibration(K=K, size=(WIDTH, HEIGHT)))
+    assert report.source == "projected cloud"
+    np.testing.assert_allclose(projected.depth, organised.depth, rtol=1e-6)
+
+
 def test_the_grey_image_of_a_projected_cloud_is_undistorted(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", scene_points())
     cv2.imwrite(str(tmp_path / "grey.png"), GREY)

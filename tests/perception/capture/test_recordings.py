@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from perception.capture import ReadOptions, frame_count, is_recording, read_frame, read_frame_with_report
+from perception.capture import Calibration, ReadOptions, frame_count, is_recording, read_frame, read_frame_with_report
 from tests.perception.capture.bags import K, Kind, Messages
 
 DEPTH_MM = np.random.default_rng(0).integers(500, 1500, (48, 64)).astype(np.uint16)
@@ -17,7 +17,7 @@ GREY = np.random.default_rng(1).integers(0, 256, (48, 64)).astype(np.uint8)
 KINDS: tuple[Kind, ...] = ("ros1", "sqlite3", "mcap")
 
 
-def bag(folder: Path, kind: Kind) -> Path:
+def bag(folder: Path, kind: Kind, *, nodes: int = 1) -> Path:
     """Return the recording of a ROS driver: three depth images, grey images, and calibrations of two cameras."""
     make = Messages(kind)
     entries: list[tuple[str, int, Any]] = [
@@ -28,7 +28,7 @@ def bag(folder: Path, kind: Kind) -> Path:
         entries.append(("/camera/depth/image_raw", 1000 * k + 5, make.image(DEPTH_MM + k, "16UC1", padding=8)))
         entries.append(("/camera/ir/image_raw", 1000 * k + 9, make.image(GREY // (k + 1), "mono8")))
         entries.append(("/camera/color/image_raw", 1000 * k + 9, make.image(np.zeros((96, 128, 3), np.uint8), "rgb8")))
-    return make.write(folder / ("a.bag" if kind == "ros1" else "a"), entries)
+    return make.write(folder / ("a.bag" if kind == "ros1" else "a"), entries, nodes=nodes)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -43,6 +43,15 @@ def test_a_frame_has_the_depth_the_registered_grey_and_the_calibration_of_its_ti
         np.testing.assert_array_equal(frame.depth, expected)
         np.testing.assert_array_equal(frame.grey, GREY // (k + 1))
         np.testing.assert_array_equal(frame.K, K)
+
+
+def test_a_topic_of_several_nodes_is_one_topic(tmp_path: Path) -> None:
+    path = bag(tmp_path, "ros1", nodes=2)
+    assert frame_count(path) == 3
+    frames = [read_frame(path, options=ReadOptions(index=index)) for index in range(3)]
+    assert [round(1000 * float(frame.depth[-1, -1])) - int(DEPTH_MM[-1, -1]) for frame in frames] == [0, 1, 2]
+    for k, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.grey, GREY // (k + 1))
 
 
 def test_a_single_mcap_file_is_read(tmp_path: Path) -> None:
@@ -77,6 +86,67 @@ def test_a_colour_image_of_another_camera_is_not_taken_but_can_be_named(tmp_path
         read_frame(path, options=ReadOptions(grey_topic="/e"))
 
 
+def test_of_two_registered_images_none_is_taken(tmp_path: Path) -> None:
+    make = Messages("mcap")
+    entries = [
+        ("/d/image", 1, make.image(DEPTH_MM, "16UC1")),
+        ("/d/camera_info", 1, make.info()),
+        ("/left/image", 2, make.image(GREY, "mono8")),
+        ("/right/image", 2, make.image(GREY, "mono8")),
+    ]
+    assert read_frame_with_report(make.write(tmp_path / "two", entries))[1].grey == "shaded depth"
+    assert read_frame_with_report(make.write(tmp_path / "one", entries[:-1]))[1].grey == "image"
+
+
+def test_compressed_depth_has_the_registered_grey_image(tmp_path: Path) -> None:
+    make = Messages("mcap")
+    png = b"\0" * 12 + cv2.imencode(".png", DEPTH_MM)[1].tobytes()
+    entries = [
+        ("/d/image/compressedDepth", 1, make.compressed(png, "16UC1; compressedDepth png")),
+        ("/d/camera_info", 1, make.info()),
+        ("/ir/image", 2, make.image(GREY, "mono8")),
+        ("/color/image", 2, make.image(np.zeros((96, 128, 3), np.uint8), "rgb8")),
+    ]
+    frame, report = read_frame_with_report(make.write(tmp_path / "a", entries))
+    assert report.grey == "image"
+    np.testing.assert_array_equal(frame.grey, GREY)
+
+
+def test_compressed_grey_images_are_taken_where_they_are_named(tmp_path: Path) -> None:
+    make = Messages("mcap")
+    png = cv2.imencode(".png", GREY)[1].tobytes()
+    entries = [
+        ("/d/image", 1, make.image(DEPTH_MM, "16UC1")),
+        ("/d/camera_info", 1, make.info()),
+        ("/ir/image/compressed", 2, make.compressed(png, "mono8; png compressed")),
+    ]
+    path = make.write(tmp_path / "a", entries)
+    assert read_frame_with_report(path)[1].grey == "shaded depth"
+    frame = read_frame(path, options=ReadOptions(grey_topic="/ir/image/compressed"))
+    np.testing.assert_array_equal(frame.grey, GREY)
+    with pytest.raises(ValueError, match="compressed must hold compressedDepth images, got compressed images of 'mono"):
+        read_frame(path, options=ReadOptions(topic="/ir/image/compressed"))
+
+
+def test_depth_images_are_preferred_to_the_cloud_of_the_same_camera(tmp_path: Path) -> None:
+    make = Messages("mcap")
+    table = np.zeros((48, 64), np.dtype([("x", "f4"), ("y", "f4"), ("z", "f4")]))
+    for k, name in enumerate(("x", "y", "z")):
+        table[name] = points_of(DEPTH_MM / 500.0)[..., k]
+    entries = [
+        ("/d/points", 1, make.cloud(table)),
+        ("/d/image", 1, make.image(DEPTH_MM, "16UC1")),
+        ("/d/camera_info", 1, make.info()),
+    ]
+    path = make.write(tmp_path / "a", entries)
+    frame, report = read_frame_with_report(path)
+    assert report.source == "depth image"
+    np.testing.assert_allclose(frame.depth, DEPTH_MM / 1000, rtol=1e-6)
+    cloud, report = read_frame_with_report(path, options=ReadOptions(topic="/d/points"))
+    assert report.source == "organised cloud"
+    np.testing.assert_allclose(cloud.depth, DEPTH_MM / 500, rtol=1e-6)
+
+
 def test_rectified_images_have_the_projection_matrix_and_no_distortion(tmp_path: Path) -> None:
     make = Messages("mcap")
     info = make.info(projection=1.5 * K * [[1], [1], [1 / 1.5]], distortion=np.array([0.2, 0, 0, 0, 0]))
@@ -108,10 +178,16 @@ def test_recordings_of_librealsense_state_their_unit(old: bool, tmp_path: Path) 
         (f"{sensor}/Infrared_1/image/data", 5, make.image(GREY, "mono8")),
         (f"{sensor}/Infrared_1/info/camera_info", 0, make.info()),
     ]
-    frame, report = read_frame_with_report(make.write(tmp_path / ("a.bag" if old else "a"), entries))
+    path = make.write(tmp_path / ("a.bag" if old else "a"), entries)
+    frame, report = read_frame_with_report(path)
     np.testing.assert_allclose(frame.depth, DEPTH_MM * 0.00025, rtol=1e-6)
     np.testing.assert_array_equal(frame.K, K)
     assert report.grey == "shaded depth"  # infrared shows the projector's dots
+    other = read_frame(path, calibration=2 * K * [[1], [1], [0.5]])  # whose own unit is not known
+    np.testing.assert_array_equal(other.depth, frame.depth)
+    assert other.K[0, 0] == 120
+    stated = read_frame(path, calibration=Calibration(K=K, depth_scale=0.0005))
+    np.testing.assert_allclose(stated.depth, DEPTH_MM * 0.0005, rtol=1e-6)
 
 
 def points_of(depth: np.ndarray) -> np.ndarray:
@@ -148,6 +224,9 @@ def test_what_a_recording_lacks_is_told(tmp_path: Path) -> None:
     none = make.write(tmp_path / "none", [("/b/camera_info", 1, info)])
     with pytest.raises(ValueError, match=r"got only /b/camera_info \(CameraInfo\)"):
         read_frame(none)
+    text = "topic /b/camera_info of two must hold depth images or clouds, got CameraInfo: name another one of /a/d"
+    with pytest.raises(ValueError, match=text):
+        read_frame(two, options=ReadOptions(topic="/b/camera_info"))
     one = make.write(tmp_path / "one", [("/a/d", 1, image)])
     with pytest.raises(ValueError, match="index must be one of the 1 frames of one, 0 to 0, got 3"):
         read_frame(one, options=ReadOptions(index=3))
@@ -162,12 +241,33 @@ def test_what_a_recording_lacks_is_told(tmp_path: Path) -> None:
         read_frame(tmp_path / "lost.mcap")
 
 
-@pytest.mark.parametrize("changes", [{"binning_x": 2}, {"x_offset": 8}])
-def test_images_of_a_part_of_the_sensor_are_refused(changes: dict[str, Any], tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_a_topic_without_messages_is_named(kind: Kind, tmp_path: Path) -> None:
+    path = Messages(kind).write(tmp_path / ("a.bag" if kind == "ros1" else "a"), [], empty=("/a/d",))
+    assert frame_count(path, "/a/d") == 0
+    with pytest.raises(ValueError, match=r"the topic /a/d of a(\.bag)? must hold depth images or clouds, got none"):
+        read_frame(path, options=ReadOptions(topic="/a/d"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"binning_x": 2}, "must be of a whole image without binning"),
+        ({"x_offset": 8}, "must be of a whole image without binning"),
+        ({"y_offset": 8}, "must be of a whole image without binning"),
+        ({"distortion_model": "equidistant", "distortion": np.full(4, 0.1)}, "must have a lens model of OpenCV's"),
+        ({"camera": np.zeros((3, 3))}, "K must be finite with positive focal lengths"),
+    ],
+)
+def test_calibrations_that_cannot_be_used_are_refused_unless_another_is_given(
+    changes: dict[str, Any], text: str, tmp_path: Path
+) -> None:
     make = Messages("mcap")
     entries = [("/a/d", 1, make.image(DEPTH_MM, "16UC1")), ("/a/camera_info", 1, make.info(**changes))]
-    with pytest.raises(ValueError, match="must be of a whole image without binning"):
-        read_frame(make.write(tmp_path / "a", entries))
+    path = make.write(tmp_path / "a", entries)
+    with pytest.raises(ValueError, match=rf"{text}.*pass it by calibration= \(--calibration on the command line\)"):
+        read_frame(path)
+    np.testing.assert_array_equal(read_frame(path, calibration=2 * K * [[1], [1], [0.5]]).K[:2], 2 * K[:2])
 
 
 def test_damaged_recordings_are_refused_by_name(tmp_path: Path) -> None:
@@ -176,6 +276,11 @@ def test_damaged_recordings_are_refused_by_name(tmp_path: Path) -> None:
     cut.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(ValueError, match=r"cut\.mcap must be a complete file"):
         read_frame(cut)
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: 1")
+    with pytest.raises(ValueError, match="folder must be a complete recording, but cannot be read"):
+        read_frame(folder)
     make = Messages("mcap")
     message = make.image(DEPTH_MM, "16UC1")
     message.data = message.data[:-10]
