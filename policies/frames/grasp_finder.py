@@ -1,5 +1,6 @@
 """Grasps on the parts found in a frame: clear of everything else that was measured, and within reach of a robot."""
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from policies.grasping import (
 
 PER_PART = 3  # grasps kept of each part
 WIDEST = 2.0  # longest side of a height map of 2 mm cells [m]; a larger one takes gigabytes with thirty parts
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,7 +32,7 @@ class FrameGrasp:
 
     Attributes:
         grasp: The grasp; its candidate is the index of the part's pose among the verified ones, best first.
-        reachable: Whether the robot reaches it; None if no robot is known.
+        reachable: Whether the robot reaches it; None if no robot is known, or its base cannot stand beside the bin.
     """
 
     grasp: GraspCandidate
@@ -43,7 +45,7 @@ class GraspFinder:
     Attributes:
         part: Kind of part.
         jaw: Largest opening of the jaw [m]; the gripper's whole stroke if None.
-        reach: Reach of the robot; None if its base is not known.
+        reach: Reach of the robot over the bin as it is believed to be; None if its base is not known.
     """
 
     def __init__(self, part: PartModel, *, jaw: float | None = None, reach: Reach | None = None) -> None:
@@ -69,7 +71,8 @@ class GraspFinder:
 
         Args:
             frame: Frame in which the parts were found.
-            workspace: The bin.
+            workspace: The bin as it was measured. Reach is judged over it, too; if the robot's base
+                cannot stand beside it, a warning is logged.
             poses: Verified poses, best first.
 
         Raises:
@@ -87,7 +90,16 @@ class GraspFinder:
         candidates = [self._candidate(seen, upright, pose) for pose in poses]
         scene = ObservedScene.from_frame(seen, candidates, upright, self._grasps.surface)
         ranked, _ = rank_grasps(scene, self._grasps, self._gripper, RankSettings(per_candidate=PER_PART))
-        return [self._in_world(grasp, workspace.T_world_bin) for grasp in ranked]
+        reach = self._reach_over(workspace) if ranked else None
+        return [_in_world(grasp, workspace.T_world_bin, reach) for grasp in ranked]
+
+    def _reach_over(self, workspace: Workspace) -> Reach | None:
+        """Return the reach over a measured bin; None if no robot is known, or its base cannot stand beside it."""
+        try:
+            return None if self.reach is None else self.reach.at(workspace)
+        except ValueError as error:
+            _log.warning("reach is not known over the bin as it was measured: %s", error)
+            return None
 
     def _candidate(self, frame: Frame, workspace: Workspace, pose: PoseEstimate) -> PoseCandidate:
         T_world_part = frame.T_world_cam @ pose.T_cam_part
@@ -101,9 +113,10 @@ class GraspFinder:
             fill=pose.visible_fraction,
         )
 
-    def _in_world(self, grasp: GraspCandidate, T_world_bin: Floats) -> FrameGrasp:
-        placed = replace(
-            grasp, T_world_grasp=T_world_bin @ grasp.T_world_grasp, T_world_tcp=T_world_bin @ grasp.T_world_tcp
-        )
-        reachable = None if self.reach is None else self.reach.reaches(placed.T_world_tcp, placed.opening)
-        return FrameGrasp(grasp=placed, reachable=reachable)
+
+def _in_world(grasp: GraspCandidate, T_world_bin: Floats, reach: Reach | None) -> FrameGrasp:
+    placed = replace(
+        grasp, T_world_grasp=T_world_bin @ grasp.T_world_grasp, T_world_tcp=T_world_bin @ grasp.T_world_tcp
+    )
+    reachable = None if reach is None else reach.reaches(placed.T_world_tcp, placed.opening)
+    return FrameGrasp(grasp=placed, reachable=reachable)

@@ -5,13 +5,15 @@ import numpy as np
 from binpick_env.cell.robot import HOME
 from binpick_env.config import BinConfig, CellConfig, RobotConfig, TrayConfig
 from perception.frame import Workspace
-from perception.geometry import Floats, invert_transform, make_transform
+from perception.geometry import Floats, invert_transform, make_transform, rotation_angle
 from policies.motion import IkSolver, PlannerSettings, PlanningScene
 
 TILT = np.radians(3)  # largest angle between the z axes of bin and base; the planner's boxes are upright
 _WALL = 0.02  # thickness of the bin's walls and floor; the table is taken to be below it [m]
 _ASIDE = (0.0, 10.0)  # position of the simulated cell's tray, which a user's cell does not have [m]
 _LOWEST = 0.01  # least height of the base above the table [m]
+_SAME_PLACE = 1e-4  # largest difference of the positions and of the sides of bins that are taken to be one [m]
+_SAME_TURN = np.radians(0.01)  # largest angle between them
 
 
 class Reach:
@@ -19,6 +21,7 @@ class Reach:
 
     Attributes:
         T_world_base: (4, 4) pose of the robot's base.
+        workspace: The bin.
     """
 
     def __init__(self, T_world_base: Floats, workspace: Workspace, jaw: float | None = None) -> None:
@@ -32,7 +35,7 @@ class Reach:
         Raises:
             ValueError: The bin is tilted against the base, or stands higher than it.
         """
-        self.T_world_base = T_world_base
+        self.T_world_base, self.workspace, self._jaw = T_world_base, workspace, jaw
         T_base_bin = invert_transform(T_world_base) @ workspace.T_world_bin
         tilt = float(np.arccos(np.clip(T_base_bin[2, 2], -1, 1)))
         if tilt > TILT:
@@ -58,6 +61,25 @@ class Reach:
         self._ik = IkSolver(self._scene)
         self._T_cell_world = make_transform(translation=(0.0, 0.0, height)) @ invert_transform(T_world_base)
         self._clearance = PlannerSettings().line_clearance
+
+    def at(self, workspace: Workspace) -> "Reach":
+        """Return the reach over a bin, such as the one measured in a frame.
+
+        It is this one where the bins agree to 0.1 mm and 0.01 degrees. Otherwise the models are compiled anew, which
+        takes about a second.
+
+        Args:
+            workspace: The bin, in the same world.
+
+        Raises:
+            ValueError: The bin is tilted against the base, or stands higher than it.
+        """
+        T_own, T_other = self.workspace.T_world_bin, workspace.T_world_bin
+        lengths = np.concatenate([T_other[:3, 3] - T_own[:3, 3], workspace.inner_size - self.workspace.inner_size])
+        turn = rotation_angle(T_own[:3, :3].T @ T_other[:3, :3])
+        if np.abs(lengths).max() <= _SAME_PLACE and turn <= _SAME_TURN:
+            return self
+        return Reach(self.T_world_base, workspace, self._jaw)
 
     def reaches(self, T_world_tcp: Floats, opening: float) -> bool:
         """Return whether the arm reaches a pose of its tcp with the jaw open, clear of table, bin and itself.

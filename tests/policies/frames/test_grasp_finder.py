@@ -94,6 +94,39 @@ def test_the_robot_reaches_what_is_near_its_base(finder: GraspFinder) -> None:
         assert all(each.reachable is expected for each in found)
 
 
+def shifted(T: Floats) -> Workspace:
+    """Return the bin, moved by a transform in its own frame."""
+    return Workspace(T_world_bin=BIN.T_world_bin @ T, inner_size=BIN.inner_size)
+
+
+def test_reach_is_judged_over_the_bin_that_was_measured() -> None:
+    higher = shifted(make_transform(translation=(0.0, 0.0, 0.09)))  # whose floor is above the parts
+    reach = Reach(in_bin((-0.5, 0.0, 0.1)), higher)
+    found = GraspFinder(ELL, reach=reach).find(FRAME, BIN, found_poses())
+    assert not any(reach.reaches(each.grasp.T_world_tcp, each.grasp.opening) for each in found)
+    assert len(found) > 0
+    assert all(each.reachable for each in found)
+
+
+def test_reach_over_the_same_bin_is_not_compiled_again() -> None:
+    reach = Reach(in_bin((-0.5, 0.0, 0.1)), BIN, jaw=0.06)
+    assert reach.at(shifted(make_transform(translation=(5e-5, 0.0, 0.0)))) is reach
+    turned = reach.at(shifted(make_transform(rotation_about((0, 0, 1), 0.01))))
+    assert turned is not reach
+    np.testing.assert_array_equal(turned.T_world_base, reach.T_world_base)
+    larger = Workspace(T_world_bin=BIN.T_world_bin, inner_size=BIN.inner_size + 0.01)
+    assert reach.at(larger).workspace is larger
+
+
+def test_reach_is_unknown_over_a_bin_that_is_measured_tilted(caplog: pytest.LogCaptureFixture) -> None:
+    tilted = shifted(make_transform(rotation_about((1, 0, 0), np.radians(5))))
+    base = tilted.T_world_bin @ make_transform(translation=(-0.5, 0.0, 0.1))
+    found = GraspFinder(ELL, reach=Reach(base, tilted)).find(FRAME, BIN, found_poses())
+    assert len(found) > 0
+    assert {each.reachable for each in found} == {None}
+    assert "reach is not known over the bin as it was measured: the z axes of the robot's base and of" in caplog.text
+
+
 def test_the_reach_is_that_of_the_cell_wherever_its_world_is() -> None:
     grasp = make_transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, 0.15))  # in the bin's frame, pointing down
     bases = [in_bin((-0.5, 0.0, 0.13), turn=turn) for turn in (0.0, 1.0)]
