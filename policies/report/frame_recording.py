@@ -87,9 +87,10 @@ class FrameRecording:
         self._stream.log("world/seen/poses", shaded_mesh(vertices, faces, _POSE), static=True)
 
     def _log_bin(self, record: FrameRecord) -> None:
-        """Write the inner box of the bin, if there is one."""
+        """Write the inner box of the bin; without one, that of the frame before is cleared."""
         workspace = record.workspace
         if workspace is None:
+            self._stream.log("world/bin", rr.Clear(recursive=False))
             return
         T, size = workspace.T_world_bin, workspace.inner_size
         middle = transform_points(T, np.array([[0.0, 0.0, size[2] / 2]]))

@@ -14,6 +14,7 @@ from policies.frames import frame_perceiver
 from tests.perception.diagnosis import bin_scene
 from tests.policies.commands.command_calls import run
 from tests.policies.commands.perceive_calls import frames_in
+from tests.rerun_rows import rows_of
 
 IN_WALLS = bin_scene.good()[0]
 WALLED = [f"{value:.12g}" for value in bin_scene.BIN.T_world_bin.ravel()]
@@ -88,6 +89,13 @@ def test_everything_is_searched_where_no_bin_is_found(folder: Path) -> None:
     assert "region searched: " in done.stdout
     assert "in the bin" not in done.stdout
     assert done.stderr == ""  # no warning about a bin that nobody gave
+
+
+def test_a_recording_has_no_bin_where_the_frame_has_none(folder: Path) -> None:
+    write_frame(IN_WALLS, folder / "walls.npz")
+    options = ["--part", "ell.stl", "--bin", SIZE, "--rerun", "seen.rrd"]
+    assert run("perceive", "walls.npz", "full.npz", *options, cwd=folder).returncode == 0
+    assert rows_of(folder / "seen.rrd")["/world/bin"] == 2  # the second one clears the first
 
 
 @pytest.mark.parametrize(
