@@ -140,6 +140,10 @@ class Arguments:
             )
         if self.trust == "bin" and (self.bin_pose is None or not self.measure_bin):
             raise ValueError("--trust bin needs the place of the bin, by --bin and --bin-pose, and measures it")
+        if not self.measure_bin and self.bin_pose is None:
+            raise ValueError(
+                "--no-measure-bin takes the bin as it is stated: give --bin and --bin-pose, or leave it out"
+            )
         if self.no_bin or self.find_bin:
             return None
         if self.bin is None:
@@ -253,7 +257,8 @@ def run(args: Arguments) -> int:
     out = args.folder()
     stopped = "stopped" if out is None else f"stopped; the same command resumes in {out}"
     outcomes: list[FrameOutcome] = []
-    code = exit_code(lambda: _perceive(args, outcomes), (ValueError, OSError, WeightsError), stopped)
+    errors = (ValueError, OSError, ModuleNotFoundError, WeightsError)
+    code = exit_code(lambda: _perceive(args, outcomes), errors, stopped)
     unread = any(outcome.values is None for outcome in outcomes)
     return UNREAD if code == 0 and unread else code
 

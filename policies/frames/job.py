@@ -164,7 +164,7 @@ def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver, finder: Gra
         frame, reading = job.source.read(path)
         seen = perceiver.perceive(frame)
         grasps = None if finder is None else _grasps(frame, seen, finder)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ModuleNotFoundError) as error:  # the last: a missing extra
         return FrameOutcome(path=path, values=None, lines=(str(error),))
     record = FrameRecord(path=path, frame=frame, reading=reading, seen=seen, perceiver=perceiver, grasps=grasps)
     pictures = job.pictures(path)

@@ -145,6 +145,8 @@ def test_a_folder_of_results_is_resumed_but_not_mixed(folder: Path) -> None:
         (["--bin-pose", *POSE], "the bin must be known: give --bin"),
         (["--find-bin", "--bin", "400x300x100"], "--find-bin measures place and size: leave out --bin and --bin-pose"),
         (["--trust", "bin", "--bin", "400x300x100"], "--trust bin needs the place of the bin"),
+        (["--no-measure-bin", "--bin", "400x300x100"], "takes the bin as it is stated: give --bin and --bin-pose, or"),
+        (["--no-measure-bin", "--find-bin"], "takes the bin as it is stated: give --bin and --bin-pose, or leave"),
         (["--no-bin", "--bin", "400x300x100"], "or none by --no-bin, but not both"),
         (["--bin", "40x30x10", "--bin-pose", *POSE], "the part must fit into the bin, got a part of"),
         (["--bin", "400x300x100", "--bin-pose", *POSE[:15]], "or one JSON file of them, got 15 numbers (--bin-pose on"),

@@ -1,6 +1,8 @@
 """Grasps, recordings of `binpick perceive` for a viewer, and frames in recordings of a camera."""
 
+import importlib.util
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +80,18 @@ def test_a_recordings_name_is_checked_before_anything_is_perceived(folder: Path)
     done = run("perceive", "full.npz", *IN_BIN, "--rerun", "seen.mp4", cwd=folder)
     assert done.returncode == 2
     assert "a recording's name must end in .rrd, got 'seen.mp4'" in done.stderr
+
+
+def test_a_missing_extra_is_an_error_that_names_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    (folder / "cell.bag").touch()
+    done = run("perceive", "cell.bag", *IN_BIN, cwd=folder)
+    assert done.returncode == 1
+    assert 'error: cell.bag: cell.bag needs rosbags, which reads ROS bags and MCAP: pip install "binp' in done.stderr
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    done = run("perceive", "full.npz", *IN_BIN, "--rerun", "seen.rrd", cwd=folder)
+    assert done.returncode == 2
+    assert "error: a recording needs Rerun: " in done.stderr
 
 
 def test_recordings_are_perceived_one_by_one_or_in_a_folder(folder: Path) -> None:

@@ -56,6 +56,7 @@ def test_bops_layout_and_numeric_names_give_the_numbers() -> None:
     paths = [Path("test/000048/depth/000001.png"), Path("test/000049/depth/000001.png")]
     assert image_numbers(paths) == [(48, 1), (49, 1)]
     assert image_numbers(paths[:1], 3) == [(3, 1)]
+    assert image_numbers([Path("12/rgb/1.png")]) == [(1, 1)]  # BOP's depth images lie in SCENE/depth
     assert image_numbers([Path("3.png"), Path("left.png")]) == [(1, 0), (1, 1)]
 
 
