@@ -1,7 +1,8 @@
 """Compiled passes over the edges of a graph: arrays in, arrays out; statistics in float64.
 
-An edge (i, e) leads from point i to its neighbour j = neighbours[i, e]. Its sums are ``there[j] + here[i]`` where they
-are not stored. ``scale`` and ``shift`` are those of the normalisation, as factor and summand of the sums.
+An edge (i, e) leads from point i to its neighbour j = neighbours[i, e]. Its sums are ``there[j] + here[i]``. Sums that are
+stored are the rows of ``there``, one for each edge, and ``here`` is 0. ``scale`` and ``shift`` are those of the
+normalisation, as factor and summand of the sums.
 """
 
 import numpy as np
@@ -95,47 +96,17 @@ def sum_gradients(
 
 
 @njit(cache=True, nogil=True)
-def stored_extremes(sums: Reals, signs: Reals, largest: Reals, which: Ints) -> Reals:
-    """Find the largest of the (N, K, C) ``sums * signs`` over the edges of a point; return the totals of the sums.
+def sum_extremes(there: Reals, here: Reals, neighbours: Ints, signs: Reals, largest: Reals, which: Ints) -> Reals:
+    """Find the largest of the sums times ``signs`` over the edges of a point; return totals as of `sum_statistics`.
 
     Args:
-        sums: Sums of the edges.
+        there: Summands of the neighbours.
+        here: (N, C) summands of the points.
+        neighbours: (N, K) rows of ``there``.
         signs: (C,) sign of the normalisation's scale, by which the maximum after it is one of the sums.
         largest: (N, C) array for the sums that are largest.
-        which: (N, C) array for their edges.
+        which: (N, C) array for their neighbours.
     """
-    count, k, channels = sums.shape
-    total = np.zeros((2, channels), np.float64)
-    for i in range(count):
-        for c in range(channels):
-            largest[i, c] = sums[i, 0, c]
-            which[i, c] = 0
-        for e in range(k):
-            for c in range(channels):
-                value = sums[i, e, c]
-                total[0, c] += value
-                total[1, c] += np.float64(value) * value
-                more = value * signs[c] > largest[i, c] * signs[c]
-                largest[i, c] = value if more else largest[i, c]
-                which[i, c] = e if more else which[i, c]
-    return total
-
-
-@njit(cache=True, nogil=True)
-def stored_gradients(sums: Reals, factors: Reals, through: Reals, which: Ints, out: Reals) -> None:
-    """Write the (N, K, C) gradient by the sums for the (N, C) gradient by the normalised largest of each point."""
-    count, k, channels = sums.shape
-    for i in range(count):
-        for e in range(k):
-            for c in range(channels):
-                out[i, e, c] = factors[1, c] * sums[i, e, c] + factors[2, c]
-        for c in range(channels):
-            out[i, which[i, c], c] += factors[0, c] * through[i, c]
-
-
-@njit(cache=True, nogil=True)
-def sum_extremes(there: Reals, here: Reals, neighbours: Ints, signs: Reals, largest: Reals, which: Ints) -> Reals:
-    """Do as :func:`stored_extremes` for sums that are not stored; ``which`` are the neighbours themselves."""
     count, k = neighbours.shape
     channels = there.shape[1]
     total = np.zeros((2, channels), np.float64)

@@ -28,12 +28,12 @@ class NormSettings(NamedTuple):
     Attributes:
         eps: Number added to the variance.
         slope: Slope of the ReLU below 0.
-        neighbours_BNK: Neighbours of each point, for sums that are not stored.
+        neighbours_BNK: Neighbours of each point.
     """
 
     eps: float
     slope: float
-    neighbours_BNK: Tensor = torch.empty(0)
+    neighbours_BNK: Tensor
 
 
 class Normalised(NamedTuple):
@@ -52,11 +52,11 @@ def activated_sums(
 
 def largest_activation(sums_BNKC: Tensor, norm: nn.BatchNorm2d, slope: float) -> Tensor:
     """Return the (B, N, C) maxima over the edges of a point of the normalised activations of sums."""
-    settings = NormSettings(norm.eps, slope)
-    sums_BNKC = sums_BNKC.to(norm.weight.dtype)
-    out, mean, variance = _Largest.apply(sums_BNKC, norm.weight, norm.bias, settings)  # type: ignore[no-untyped-call]
-    _keep_statistics(norm, Normalised(mean, variance), sums_BNKC[..., 0].numel())
-    return cast(Tensor, out)
+    batch, count, k, channels = sums_BNKC.shape
+    rows_BEC = sums_BNKC.to(norm.weight.dtype).flatten(1, 2)
+    # Each edge is a neighbour of its own, and the point adds nothing.
+    edges_BNK = torch.arange(count * k).view(count, k).expand(batch, count, k)
+    return largest_sum_activation(rows_BEC, rows_BEC.new_zeros(batch, count, channels), edges_BNK, norm, slope)
 
 
 def largest_sum_activation(
@@ -107,35 +107,6 @@ class _ActivatedSums(torch.autograd.Function):
         return torch.from_numpy(by_there), torch.from_numpy(by_here), by_weight, by_bias, None
 
 
-class _Largest(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, sums: Tensor, weight: Tensor, bias: Tensor, settings: NormSettings
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        array = sums.contiguous().numpy()
-        shape = (*sums.shape[:2], sums.shape[3])
-        largest, which = np.empty(shape, array.dtype), np.empty(shape, np.int64)
-        signs = _signs(weight)
-        rows = [(s, signs, m, w) for s, m, w in zip(array, largest, which, strict=True)]
-        total = np.sum(_each(_kernels.stored_extremes, rows), axis=0)
-        norm = _Norm.of(total, sums[..., 0].numel(), weight, bias, settings)
-        ctx.save_for_backward(sums)
-        ctx.norm, ctx.largest, ctx.which = norm, largest, which
-        return (torch.from_numpy(norm.activated(largest)), *norm.statistics())
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, gradient: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
-        (sums,) = ctx.saved_tensors
-        through, total = ctx.norm.through(gradient, ctx.largest)
-        factors, by_weight, by_bias = ctx.norm.gradients(total)
-        array = sums.contiguous().numpy()
-        out = np.empty_like(array)
-        rows = zip(array, through, ctx.which, out, strict=True)
-        _each(_kernels.stored_gradients, [(s, factors, t, w, o) for s, t, w, o in rows])
-        return torch.from_numpy(out), by_weight, by_bias, None
-
-
 class _LargestSum(torch.autograd.Function):
     @staticmethod
     def forward(
@@ -143,7 +114,7 @@ class _LargestSum(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, Tensor]:
         neighbours = settings.neighbours_BNK
         arrays, signs = _clouds(there, here, neighbours), _signs(weight)
-        largest, which = np.empty(there.shape, signs.dtype), np.empty(there.shape, np.int64)
+        largest, which = np.empty(here.shape, signs.dtype), np.empty(here.shape, np.int64)
         rows = zip(arrays, largest, which, strict=True)
         total = np.sum(_each(_kernels.sum_extremes, [(*cloud, signs, m, w) for cloud, m, w in rows]), axis=0)
         norm = _Norm.of(total, neighbours.numel(), weight, bias, settings)

@@ -70,14 +70,12 @@ def test_the_compiled_extremes_are_those_of_plain_loops() -> None:
     signs = np.array([1.0, -1.0, 1.0])
     sums = there[neighbours] + here[:, None]
     largest, which = np.empty((9, 3)), np.empty((9, 3), np.int64)
-    for kernel, arguments in (
-        (_edge_kernels.stored_extremes, (sums,)),
-        (_edge_kernels.sum_extremes, (there, here, neighbours)),
-    ):
-        total = kernel(*arguments, signs, largest, which)
+    edges = np.arange(36).reshape(9, 4)  # of sums that are stored, each edge has a row of its own
+    for cloud in ((there, here, neighbours), (sums.reshape(36, 3), np.zeros((9, 3)), edges)):
+        total = _edge_kernels.sum_extremes(*cloud, signs, largest, which)
         np.testing.assert_allclose(largest * signs, (sums * signs).max(axis=1))
         np.testing.assert_allclose(total, [sums.sum(axis=(0, 1)), (sums**2).sum(axis=(0, 1))])
-    np.testing.assert_allclose(there[which, np.arange(3)] + here, largest)
+        np.testing.assert_allclose(cloud[0][which, np.arange(3)] + cloud[1], largest)
 
 
 def test_the_compiled_selection_finds_the_most_similar_the_first_of_equal_ones() -> None:
