@@ -1,5 +1,7 @@
 """The context network: its levels, what a shift or the order of a cloud changes, and the compiled maximum."""
 
+import copy
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from perception.segmentation.networks.context_net import (
     ContextInputs,
     ContextNet,
     ContextNetConfig,
+    OffsetConv,
     interpolate,
     neighbour_max,
 )
@@ -70,6 +73,32 @@ def test_the_compiled_maximum_and_its_gradient_are_torchs() -> None:
     compiled, plain = (f(x[0].detach().numpy(), neighbours[0].numpy()) for f in (_kernels.neighbour_max, _naive_max))
     for mine, naive in zip(compiled, plain, strict=True):
         np.testing.assert_array_equal(mine, naive)
+
+
+def test_the_entering_layers_in_training_are_the_plain_ones() -> None:
+    torch.manual_seed(0)
+    fused = OffsetConv(5, 6).train()
+    torch.nn.init.uniform_(fused.second.norm.weight, -1.5, 1.5)  # of both signs: the largest sum is not always the one
+    plain = copy.deepcopy(fused)
+    points = torch.from_numpy(np.stack([cloud(), cloud(seed=1)]).astype(np.float32)).requires_grad_()
+    neighbours = torch.from_numpy(np.random.default_rng(2).integers(0, 200, (2, 200, 4)))
+    edges = plain.first(gather_neighbours(points, neighbours) - points[:, :, None])
+    found = []
+    for layer, features in (
+        (fused, fused(points, neighbours)),
+        (plain, plain.second(edges).amax(dim=2)),
+    ):
+        weights = torch.linspace(-1, 1, features.numel()).view_as(features)
+        found.append([features, *torch.autograd.grad((weights * features).sum(), [points, *layer.parameters()])])
+        found[-1] += list(layer.buffers())
+    for mine, theirs in zip(*found, strict=True):
+        torch.testing.assert_close(mine, theirs, rtol=1e-3, atol=1e-3)
+    layers = []
+    fused.second.register_forward_hook(lambda *_: layers.append("plain"))
+    fused(points, neighbours)
+    assert layers == []  # no pass over the normalised edges in training
+    fused.eval()(points, neighbours)
+    assert layers == ["plain"]
 
 
 def _naive_max(rows: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
