@@ -1,7 +1,7 @@
 """Compiled passes over the edges of a graph: arrays in, arrays out; statistics in float64.
 
-An edge (i, e) leads from point i to its neighbour j = neighbours[i, e]. Its sums are ``there[j] + here[i]``. Sums that are
-stored are the rows of ``there``, one for each edge, and ``here`` is 0. ``scale`` and ``shift`` are those of the
+An edge (i, e) leads from point i to its neighbour j = neighbours[i, e]. Its sums are ``there[j] + here[i]``. Sums that
+are stored are the rows of ``there``, one for each edge, and ``here`` is 0. ``scale`` and ``shift`` are those of the
 normalisation, as factor and summand of the sums.
 """
 
