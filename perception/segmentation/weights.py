@@ -111,6 +111,7 @@ def _network_of(record: dict[str, Any], tensors: dict[str, Tensor]) -> Network:
 
 
 Training = Literal["own", "family", "zero-shot"]
+Records = Sequence[tuple[Path, dict[str, Any]]]  # files of networks, each with its record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,7 +181,8 @@ def _adds_parts(record: dict[str, Any], others: Sequence[dict[str, Any]]) -> boo
 def find_weights(part: PartModel, network: NetworkName = "grid") -> FoundWeights:
     """Return the weights for a part: those that were trained on its shape, or else those for every part.
 
-    Weights for the part alone precede weights for several parts; the user's precede shipped ones.
+    Weights for the part alone precede weights for several parts; the user's precede shipped ones. A warning is logged
+    if the user's own weights of the part are all of other kinds.
 
     Args:
         part: Part to recognise.
@@ -190,8 +192,10 @@ def find_weights(part: PartModel, network: NetworkName = "grid") -> FoundWeights
         WeightsError: There are neither weights of the part nor for every part, of this kind.
         ValueError: There is no such kind of network.
     """
-    records = _all_records(network)
-    own = [(path, record) for path, record in records if not record.get("general") and _knows(record, part)]
+    all_records = _all_records()
+    records = _of_kind(all_records, network)
+    _warn_of_other_kinds(all_records, part, network)
+    own = _trained_on(records, part)
     if own:
         path, _ = min(own, key=lambda found: len(found[1].get("parts", [])) > 1)
         return FoundWeights(path=path, training="own")
@@ -217,14 +221,25 @@ def general_weights(network: NetworkName = "grid") -> Path:
         WeightsError: There are neither, of this kind.
         ValueError: There is no such kind of network.
     """
-    general = _for_every_part(_all_records(network), network)
+    general = _for_every_part(_of_kind(_all_records(), network), network)
     if general is None:
         raise WeightsError(
-            f"there are no segmentation weights{_of_network(network)} for every part to start from, neither in "
-            f"{user_folder()} nor in {SHIPPED}: binpick train-segmentation --part generated{_preset(network)} makes "
-            "them, and --initial none starts from random weights"
+            f"there are no segmentation weights{_of_network(network)} for every part, neither in {user_folder()} nor "
+            f"in {SHIPPED}: binpick train-segmentation --part generated{_preset(network)} makes them"
         )
     return general
+
+
+def _warn_of_other_kinds(records: Records, part: PartModel, network: NetworkName) -> None:
+    """Log a warning if the user's own weights of a part are all of other kinds than the one asked for."""
+    own = [(path, network_name(record)) for path, record in _trained_on(records, part) if path.parent == user_folder()]
+    if any(kind == network for _, kind in own):
+        return
+    for path, kind in own:
+        if kind is not None:
+            needs = ", which needs frames with depth" if kind == "grid" else ""
+            text = "%s was trained on %s, but not for the network %s: it is used with --network %s%s"
+            _log.warning(text, path, part.name, network, kind, needs)
 
 
 def _of_network(network: NetworkName) -> str:
@@ -235,10 +250,11 @@ def _preset(network: NetworkName) -> str:
     return "" if network == "grid" else f" --preset {network} --install True"
 
 
-def _for_every_part(records: Sequence[tuple[Path, dict[str, Any]]], network: NetworkName) -> Path | None:
+def _for_every_part(records: Records, network: NetworkName) -> Path | None:
     general = [path for path, record in records if record.get("general")]
     # Without a network for every part, one for several parts serves: it knows d_max and nothing else of a part.
-    general += [path for path, _ in records if path.stem == weights_name(SHARED, network)]
+    # Older versions installed every kind of network under the bare name.
+    general += [path for path, _ in records if path.stem in (SHARED, weights_name(SHARED, network))]
     return general[0] if general else None
 
 
@@ -251,11 +267,20 @@ def _knows(record: dict[str, Any], part: PartModel) -> bool:
     return any(same_shape(shape, signature) for shape in shapes.values())
 
 
-def _all_records(network: NetworkName) -> list[tuple[Path, dict[str, Any]]]:
+def _trained_on(records: Records, part: PartModel) -> Records:
+    """Return the networks that were themselves trained on a part, besides those for every part."""
+    return [(path, record) for path, record in records if not record.get("general") and _knows(record, part)]
+
+
+def _all_records() -> Records:
+    """Return the networks of the user, then the shipped ones."""
+    return [each for folder in (user_folder(), SHIPPED) for each in _records(folder)]
+
+
+def _of_kind(records: Records, network: NetworkName) -> Records:
     if network not in get_args(NetworkName):
         raise ValueError(f"network must be one of {', '.join(get_args(NetworkName))}, got {network!r}")
-    found = [each for folder in (user_folder(), SHIPPED) for each in _records(folder)]
-    return [(path, record) for path, record in found if network_name(record) == network]
+    return [(path, record) for path, record in records if network_name(record) == network]
 
 
 def _records(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
@@ -268,8 +293,22 @@ def _records(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def install_weights(path: Path, name: str) -> Path:
-    """Copy weights and their JSON to the user's folder under ``name``; return the path of the copy."""
-    target = user_folder() / f"{name}.safetensors"
+    """Copy weights and their JSON to the user's folder; return the path of the copy.
+
+    Args:
+        path: ``.safetensors`` file of a network.
+        name: Part's name, :data:`GENERAL` or :data:`SHARED`. The kind of network is appended, see
+            :func:`weights_name`.
+
+    Raises:
+        WeightsError: The file is damaged, or its network is of a kind that no command looks for.
+    """
+    network = network_name(load_record(path))
+    if network is None:
+        raise WeightsError(
+            f"{path} cannot be installed, since no command looks for its network: give the file by --weights"
+        )
+    target = user_folder() / f"{weights_name(name, network)}.safetensors"
     for suffix in (".safetensors", ".json"):
         source = path.with_suffix(suffix)
         replace_atomically(target.with_suffix(suffix), partial(copyfile, source))

@@ -25,8 +25,9 @@ PLOT = "ap.svg"  # file beside the log: average precision against minutes
 class Arguments:
     """Train a segmentation network on the scenes of one part, one network for several, or one for every part.
 
-    The training on one part starts from the network for every part and makes the scenes itself where there are too few.
-    The same command resumes where it was stopped. Under torchrun, several processes train together.
+    The training on one part makes the scenes itself where there are too few, and with preset ours it starts from the
+    network for every part. The same command resumes where it was stopped. Under torchrun, several processes train
+    together.
     """
 
     # parts that the network is for; generated: a network for every part, from scenes of generated parts
@@ -37,28 +38,34 @@ class Arguments:
     # folders of generate-scenes to evaluate on; the first scenes of each folder unless given
     validation: tuple[Path, ...] = ()
     held_out: int = 8  # number of scenes of each folder that are kept for validation where no folder is given
-    # ours; paper: its text to the letter; released: as the code that the paper builds on
+    # network and settings of the training. ours: the image-plane network; the others are networks over points alone.
+    # paper: DGCNN with SGPN's heads, trained as the paper's text says; released: PointNet with SGPN's heads, trained as
+    # in SGPN's released code; dgcnn-context: EdgeConvs on three levels of the cloud, with the offsets of ours;
+    # dgcnn-sgpn: the paper's network with the augmentation and the learning rate's schedule of ours
     preset: PresetName = "ours"
-    minutes: float | None = None  # length of the training, with the making of scenes [min]
+    # length of the training, with the making of scenes [min]; 200 epochs if neither minutes nor steps are given, except
+    # with preset ours, which needs one of them
+    minutes: float | None = None
     steps: int | None = None  # length of the training in steps; the same seed, steps and scenes give the same weights
     # number of scenes of one part to make, with those that are there; with --minutes as many as a third of them allows,
     # up to 1000, and with --steps 200 unless given. Scenes of other settings suffice if they are twice --held-out
     count: int | None = None
     workers: int = 2  # number of processes that make scenes, each on one core
     seed: int = 0  # seed of weights, samples and augmentation
-    # weights to start from, a .safetensors file; none: random ones. For one part those for every part unless given,
-    # else random ones
+    # weights to start from, a .safetensors file; none: random ones. For one part with preset ours those for every part
+    # unless given, else random ones
     initial: Literal["none"] | Path | None = None
     batch: int | None = None  # number of scenes per step; the preset's unless given
-    # largest learning rate of the schedule; the preset's unless given, or a lower one if one part starts from weights
+    # largest learning rate of the schedule; the preset's unless given, or a lower one if one part with preset ours
+    # starts from weights
     learning_rate: float | None = None
     threads: int | None = None  # number of torch's threads; torch's choice unless given
     device: str | None = None  # device of torch, such as cpu or cuda:0; a GPU if there is one unless given
     # training time between two evaluations [min]; a sixth of the training, from 1 to 10, unless given
     evaluate_every: float | None = None
     out: Path | None = None  # folder of checkpoint, log and weights; runs/segmentation-NAME-PRESET-SEED unless given
-    # copy the weights to where every command looks first; with preset ours unless said otherwise, if their AP50 is at
-    # least 0.5 and their AP not below that of the weights they started from
+    # copy the weights to where every command looks first, which preset released refuses; unless given, with preset ours
+    # if their AP50 is at least 0.5 and their AP not below that of the weights they started from
     install: bool | None = None
     tensorboard: bool = True  # write TensorBoard's events into the folder
     json: Path | None = None  # JSON file for the last evaluation
@@ -87,11 +94,16 @@ class Arguments:
 
     def start(self) -> Path | None:
         """Return the weights that the training starts from, or None for random ones."""
-        from perception.segmentation.weights import general_weights
+        from perception.segmentation.weights import WeightsError, general_weights
 
-        if self.initial is None:
-            return general_weights() if self.fine_tunes else None
-        return None if self.initial == "none" else self.initial
+        if self.initial is not None:
+            return None if self.initial == "none" else self.initial
+        if not self.fine_tunes:
+            return None
+        try:
+            return general_weights()
+        except WeightsError as error:
+            raise WeightsError(f"{error}; --initial none starts from random weights") from error
 
     def config(self) -> "TrainingConfig":
         """Return how to train."""
@@ -130,7 +142,7 @@ class Arguments:
         return folder
 
     def length(self, config: "TrainingConfig", scenes: int, world: int = 1, scene_minutes: float = 0.0) -> "Length":
-        """Return how long to train: the paper's 200 epochs for its presets where nothing is said.
+        """Return how long to train: the paper's 200 epochs for every preset but ours where nothing is said.
 
         Args:
             config: Settings of the training.
@@ -183,6 +195,11 @@ def _train(args: Arguments) -> str | None:
     from perception.segmentation.weights import load_record
     from policies.commands.training_scenes import scenes_of_training
 
+    if args.install and args.preset == "released":
+        raise ValueError(
+            "--preset released cannot be installed, since no command looks for its network: leave --install out and "
+            "give the file by --weights"
+        )
     if args.threads is not None:
         torch.set_num_threads(args.threads)
     with processes() as place:
@@ -271,7 +288,7 @@ def _deliver(args: Arguments, out: Path, last: "Log") -> str:
     from perception.runtime.files import json_text, write_atomically
     from perception.segmentation.training.acceptance import objection, scores
     from perception.segmentation.training.run import LOG, WEIGHTS, read_log
-    from perception.segmentation.weights import install_weights, load_record, network_name, weights_name
+    from perception.segmentation.weights import install_weights
 
     first = next((line for line in read_log(out / LOG) if line["step"] == 0), {})
     lines = [f"weights   {out / WEIGHTS}", f"log       {out / LOG}"]
@@ -282,8 +299,7 @@ def _deliver(args: Arguments, out: Path, last: "Log") -> str:
     against = objection(last, first)
     if args.install or (args.install is None and args.preset == "ours" and against is None):
         try:
-            kind = network_name(load_record(out / WEIGHTS)) or "grid"
-            path = install_weights(out / WEIGHTS, weights_name(args.name, kind))
+            path = install_weights(out / WEIGHTS, args.name)
         except OSError as error:
             raise OSError(
                 f"the weights cannot be installed ({error}); they are kept in {out / WEIGHTS}. With another folder in "

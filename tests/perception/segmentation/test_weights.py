@@ -23,6 +23,7 @@ from perception.segmentation.weights import (
     SHARED,
     SHIPPED,
     FoundWeights,
+    Network,
     WeightsError,
     build_network,
     find_weights,
@@ -238,7 +239,7 @@ def test_weights_for_every_part_are_shipped_and_name_the_families_that_no_traini
 
 def test_a_training_on_one_part_starts_from_the_network_for_every_part(folders: tuple[Path, Path]) -> None:
     own, shipped = folders
-    with pytest.raises(WeightsError, match=r"for every part to start from, neither in .*--initial none starts from"):
+    with pytest.raises(WeightsError, match=r"for every part, neither in .* --part generated makes them$"):
         general_weights()
     save_network(own / "nut.safetensors", NETWORKS[0], trained(NUT))
     save_network(shipped / "shared.safetensors", NETWORKS[0], trained(BOLT))
@@ -303,6 +304,60 @@ def test_a_kind_without_weights_is_named(folders: tuple[Path, Path]) -> None:
         general_weights("dgcnn-context")
     with pytest.raises(ValueError, match="network must be one of grid, dgcnn-sgpn, dgcnn-context, got 'unet'"):
         find_weights(part, "unet")
+
+
+def test_a_network_that_nothing_looks_for_is_not_installed(folders: tuple[Path, Path], tmp_path: Path) -> None:
+    own, _ = folders
+    save_network(own / "nut.safetensors", NETWORKS[0], trained(NUT))
     pointnet = SgpnConfig(trunk="pointnet", global_width=8, embedding=5, branch=6)
-    save_network(shipped / "pointnet.safetensors", Sgpn(pointnet), {"parts": ["rod"]})
-    assert network_name(load_record(shipped / "pointnet.safetensors")) is None
+    save_network(tmp_path / "net.safetensors", Sgpn(pointnet), trained(NUT))
+    assert network_name(load_record(tmp_path / "net.safetensors")) is None
+    with pytest.raises(WeightsError, match=r"net.safetensors cannot be installed, since no command looks for its net"):
+        install_weights(tmp_path / "net.safetensors", "nut")
+    assert find_weights(NUT).path == own / "nut.safetensors"
+
+
+@pytest.mark.parametrize("network", NETWORKS[1:])
+def test_every_kind_is_installed_beside_the_others(
+    folders: tuple[Path, Path], tmp_path: Path, network: Network
+) -> None:
+    own, _ = folders
+    save_network(own / "shared.safetensors", NETWORKS[0], trained(NUT, BOLT))
+    save_network(tmp_path / "net.safetensors", network, trained(NUT, BOLT))
+    kind = network_name(load_record(tmp_path / "net.safetensors"))
+    assert kind is not None
+    assert install_weights(tmp_path / "net.safetensors", SHARED) == own / f"shared-{kind}.safetensors"
+    assert find_weights(NUT).path == own / "shared.safetensors"
+    assert find_weights(NUT, kind).path == general_weights(kind) == own / f"shared-{kind}.safetensors"
+
+
+@pytest.mark.parametrize("network", NETWORKS[1:])
+def test_weights_that_were_installed_without_their_kind_are_found(folders: tuple[Path, Path], network: Network) -> None:
+    own, _ = folders
+    save_network(own / "shared.safetensors", network, trained(BOLT))
+    kind = network_name(load_record(own / "shared.safetensors"))
+    assert kind is not None
+    assert general_weights(kind) == own / "shared.safetensors"
+    assert find_weights(BOLT, kind) == FoundWeights(path=own / "shared.safetensors", training="own")
+    assert find_weights(NUT, kind) == FoundWeights(path=own / "shared.safetensors", training="zero-shot")
+
+
+def test_a_parts_own_weights_of_another_kind_are_named(
+    folders: tuple[Path, Path], caplog: pytest.LogCaptureFixture
+) -> None:
+    own, shipped = folders
+    save_network(shipped / "shared.safetensors", NETWORKS[0], trained(NUT, BOLT))
+    save_network(shipped / "general-dgcnn-sgpn.safetensors", NETWORKS[1], {"general": True, "shapes": {}})
+    save_network(own / "nut.safetensors", NETWORKS[2], trained(NUT))
+    assert find_weights(NUT).path == shipped / "shared.safetensors"
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{own / 'nut.safetensors'} was trained on nut, but not for the network grid: it is used with --network "
+        "dgcnn-context"
+    ]
+    caplog.clear()
+    find_weights(NUT, "dgcnn-context")
+    find_weights(BOLT, "dgcnn-sgpn")  # only a shipped network of another kind was trained on it
+    assert caplog.text == ""
+    save_network(own / "bolt.safetensors", NETWORKS[0], trained(BOLT))
+    find_weights(BOLT, "dgcnn-sgpn")
+    assert "but not for the network dgcnn-sgpn: it is used with --network grid, which needs frames with" in caplog.text

@@ -20,13 +20,21 @@ from binpick_env.parts.label import part_label
 from binpick_env.parts.part import load_part
 from binpick_env.scenes import timed_synthesis
 from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config, scene_path
+from perception.segmentation import weights as weights_module
 from perception.segmentation.scene import SCENES_NOTE
 from perception.segmentation.training import run as run_module
 from perception.segmentation.training.distributed import Place
 from perception.segmentation.training.loop import Length
 from perception.segmentation.training.presets import PRESETS, fine_tuning
 from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS, read_log
-from perception.segmentation.weights import SHIPPED, FoundWeights, find_weights, load_network, load_record
+from perception.segmentation.weights import (
+    SHIPPED,
+    FoundWeights,
+    WeightsError,
+    find_weights,
+    load_network,
+    load_record,
+)
 from policies.commands import generate_scenes, training_scenes
 from policies.commands import train_segmentation as train
 from policies.commands.command_line import parse
@@ -130,6 +138,10 @@ def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
             "nowhere.safetensors does not hold a complete",
         ),
         (["--part", "bracket", "--steps", "1", "--learning-rate", "-1"], "learning_rate must be positive, got -1.0"),
+        (
+            ["--part", "bracket", "--preset", "released", "--steps", "1", "--install", "True"],
+            "--preset released cannot be installed, since no command looks for its network",
+        ),
     ],
 )
 def test_a_users_mistake_is_one_line_and_exit_code_2(
@@ -246,6 +258,13 @@ def test_missing_scenes_of_several_parts_are_told_by_the_command_that_makes_them
     assert words[:2] == ["binpick", "generate-scenes"]
     made = parse(generate_scenes.Arguments, "generate-scenes", words[2:])
     assert (made.part, made.unit, made.out) == (path, "mm", Path("runs") / f"scenes-{part_label(path)}-0")
+
+
+def test_random_weights_are_advised_where_none_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(weights_module, "SHIPPED", tmp_path / "nothing")
+    with pytest.raises(WeightsError, match=r"no segmentation weights for every part.*; --initial none starts from"):
+        train.Arguments(part=("tee",)).start()
+    assert train.Arguments(part=("tee",), initial="none").start() is None
 
 
 def test_missing_weights_are_named_before_scenes_are_made(
