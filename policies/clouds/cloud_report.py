@@ -15,7 +15,7 @@ from perception.runtime.files import write_atomically
 from policies.clouds.segmented_cloud import SegmentedCloud, cloud_lines
 
 SIZE = 900  # longer side of a picture [px]
-VIEWS = {"from the camera": (0.0, 0.0), "from below the image": (60.0, 0.0), "from the right": (0.0, -60.0)}  # [deg]
+VIEWS = {"from the camera": (0.0, 0.0), "from below the image": (-60.0, 0.0), "from the right": (0.0, 60.0)}  # [deg]
 LISTED = 200  # largest number of instances in the table
 _PAPER, _NONE = (24, 20, 18), (105, 98, 92)  # BGR
 Colours = NDArray[np.uint8]

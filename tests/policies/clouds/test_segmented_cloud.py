@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from binpick_env.evaluation.segmentation.pictures import part_colours
 from perception.geometry import Floats
 from perception.instance import Instance
 from perception.pose.edge_estimator import UNCHECKED, EdgePose
@@ -15,7 +16,7 @@ from perception.segmentation.point_files import read_points
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.weights import build_network, save_network
 from policies.clouds.cloud_poses import pose_lines, pose_values
-from policies.clouds.cloud_report import SIZE, draw_cloud
+from policies.clouds.cloud_report import SIZE, VIEWS, draw_cloud
 from policies.clouds.segmented_cloud import CloudSource, SegmentedCloud, cloud_lines, segment_cloud
 from policies.commands.segment import main
 from tests.perception.disc_scene import D_MAX, disc_scene
@@ -132,7 +133,22 @@ def test_poses_say_what_was_not_checked(cloud_file: Path) -> None:
 
 def test_the_nearest_point_is_drawn_last() -> None:
     points = np.array([[0.0, 0, 1], [1.0, 0.5, 1], [0.0, 0, 2]])
-    picture = draw_cloud(points, np.array([0, 0, 1]), (0.0, 0.0))
-    assert picture.shape[1] == SIZE
-    near, far = picture[10, 10], draw_cloud(points[[0, 1, 2]] * (1, 1, -1), np.array([0, 0, 1]), (0.0, 0.0))[10, 10]
-    assert near.tolist() != far.tolist()
+    for order in ([0, 1, 2], [2, 1, 0]):  # whatever the order of the file
+        picture = draw_cloud(points[order], np.array([0, 0, 1])[order], (0.0, 0.0))
+        assert picture.shape[1] == SIZE
+        assert picture[10, 10].tolist() == part_colours(2)[0].tolist()
+
+
+@pytest.mark.parametrize(
+    ("view", "towards_viewer"),
+    [
+        ("from the camera", (0.0, 0.0, -1.0)),
+        ("from below the image", (0.0, np.sqrt(0.75), -0.5)),  # y points down in the image
+        ("from the right", (np.sqrt(0.75), 0.0, -0.5)),
+    ],
+)
+def test_a_view_shows_the_cloud_from_where_its_caption_says(view: str, towards_viewer: tuple[float, ...]) -> None:
+    points = np.array([np.zeros(3), 0.1 * np.array(towards_viewer), [1.0, 1.0, 0.0]])
+    picture = draw_cloud(points, np.array([0, 1, -1]), VIEWS[view])
+    behind, before = ((picture == colour).all(axis=2).any() for colour in part_colours(2))
+    assert (behind, before) == (False, True)
