@@ -62,14 +62,15 @@ def read_points(path: Path) -> LabelledPoints:
     Text has a point in each line, ``x y z``, ``x y z label`` or ``x y z score label``, separated by spaces, tabs,
     commas or semicolons. Labels count from 0, and negative ones stand for no part. Of lines of six or more numbers,
     such as colours or normals, the first three are read. Empty lines, comments (``#`` and ``//``) and a line of names
-    at the top are skipped.
+    at the top are skipped. So is a first line with one number, the number of points, which PTS files have.
 
     Args:
         path: PLY or PCD file, or text.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: The file is damaged, has another suffix, or holds fewer than 3 measured points.
+        ValueError: The file is damaged, has another suffix, holds fewer than 3 measured points, or another number of
+            points than its first line says.
     """
     suffix = path.suffix.lower()
     if suffix in (".ply", ".pcd"):
@@ -104,7 +105,8 @@ def write_labels(path: Path, points: Floats, instances: list[Instance]) -> None:
 
 def _text(path: Path) -> LabelledPoints:
     rows: list[list[float]] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), start=1):
+    counted: float | None = None  # number of points that the file says it holds
+    for number, line in enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
         words = line.split("#")[0].split("//")[0].replace(",", " ").replace(";", " ").split()
         if not words:
             continue
@@ -114,6 +116,9 @@ def _text(path: Path) -> LabelledPoints:
             if rows:
                 raise ValueError(f"line {number} of {path.name} must be numbers, got {line.strip()[:60]!r}") from None
             _log.info("%s: line %d is skipped: %s", path.name, number, line.strip()[:60])
+            continue
+        if len(row) == 1 and not rows and counted is None:
+            counted = row[0]
             continue
         if rows and len(row) != len(rows[0]):
             raise ValueError(
@@ -126,6 +131,8 @@ def _text(path: Path) -> LabelledPoints:
         raise ValueError(
             f"the lines of {path.name} must be x y z, x y z label or x y z score label, got {width} numbers"
         )
+    if counted is not None and counted != len(rows):
+        raise ValueError(f"{path.name} must hold {counted:g} points, as its first line says, got {len(rows)}")
     if width not in (4, 5):
         return LabelledPoints(points=values[:, :3])
     labels = values[:, -1]

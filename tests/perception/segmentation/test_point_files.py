@@ -33,6 +33,17 @@ def test_colours_and_normals_are_left_out(tmp_path: Path) -> None:
     assert found.labels is None
 
 
+def test_the_first_line_of_a_pts_file_is_the_number_of_points(tmp_path: Path) -> None:
+    lines = [" ".join(map(str, [*point, -1200, 90, 90, 90])) for point in POINTS]
+    found = read_points(written(tmp_path / "cloud.pts", "\n".join(["4", *lines])))
+    np.testing.assert_array_equal(found.points, POINTS)
+
+
+def test_a_byte_order_mark_costs_no_point(tmp_path: Path) -> None:
+    (tmp_path / "cloud.csv").write_text("\n".join(",".join(map(str, p)) for p in POINTS), encoding="utf-8-sig")
+    np.testing.assert_array_equal(read_points(tmp_path / "cloud.csv").points, POINTS)
+
+
 def test_a_ply_file_and_a_pcd_file(tmp_path: Path) -> None:
     body = "\n".join(" ".join(map(str, point)) for point in POINTS)
     ply = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
@@ -71,6 +82,8 @@ def test_the_truth_counts_every_labelled_part() -> None:
         ("cloud.xyz", "1 2 3\n1 2 3\n0 0 0\nnan 1 1\n", "must hold at least 3 measured points, got 2 of 4"),
         ("cloud.xyz", "1 2 3\n1 2 three\n", "line 2 of cloud.xyz must be numbers, got '1 2 three'"),
         ("cloud.xyz", "1 2 3\n1 2\n", "line 2 of cloud.xyz must hold 3 numbers as the lines before, got 2"),
+        ("cloud.xyz", "1\n1\n1\n", "lines of cloud.xyz must be x y z, x y z label .* got 1 numbers"),
+        ("cloud.pts", "4\n" + "1 2 3\n" * 3, "cloud.pts must hold 4 points, as its first line says, got 3"),
         ("cloud.xyz", "1 2\n1 3\n", "lines of cloud.xyz must be x y z, x y z label .* got 2 numbers"),
         ("cloud.xyz", "1 2 3 0.5\n" * 3, "is the label and must be whole, got 0.5"),
     ],
