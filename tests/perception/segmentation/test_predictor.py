@@ -18,7 +18,7 @@ from perception.segmentation.networks.sgpn import SgpnConfig
 from perception.segmentation.predictor import PredictorConfig, SegmentationPredictor
 from perception.segmentation.scoring import score_scene
 from perception.segmentation.surface import Surface
-from perception.segmentation.weights import NetworkConfig, build_network
+from perception.segmentation.weights import GENERAL, SHIPPED, NetworkConfig, build_network, weights_name
 from perception.shape import shape_signature, shape_values
 from tests.perception.disc_scene import D_MAX, disc_scene
 
@@ -51,6 +51,15 @@ def test_votes_that_meet_at_the_centres_are_the_parts(monkeypatch: pytest.Monkey
     instances = teller.predict(scene.boundary, scene.surface, scene.d_max)
     assert ap_summary([score_scene(scene, instances)]).ap == 1.0
     assert [round(instance.score, 3) for instance in instances][: len(scene.centres_cam)] == [0.9] * 6
+
+
+def test_the_shipped_network_over_points_separates_discs() -> None:
+    scene = disc_scene()
+    teller = SegmentationPredictor.from_file(
+        SHIPPED / f"{weights_name(GENERAL, 'dgcnn-context')}.safetensors", device="cpu"
+    )
+    instances = teller.predict(scene.boundary.points_cam, d_max=scene.d_max)
+    assert ap_summary([score_scene(scene, instances)]).ap50 > 0.9
 
 
 @EVERY

@@ -237,6 +237,16 @@ def test_weights_for_every_part_are_shipped_and_name_the_families_that_no_traini
     assert load_network(path).config == replace(GridNetConfig(), shape=True)
 
 
+def test_weights_over_points_for_every_part_are_shipped() -> None:
+    path = SHIPPED / f"{weights_name(GENERAL, 'dgcnn-context')}.safetensors"
+    record = load_record(path)
+    assert network_name(record) == "dgcnn-context"
+    assert record["general"]
+    assert training_of(record, box(f"{record['held_out_families'][0]}:0", 0.02, 0.03, 0.04)) == "zero-shot"
+    assert json.loads(path.with_suffix(".json").read_text()) == record
+    assert load_network(path).config == ContextNetConfig()
+
+
 def test_a_training_on_one_part_starts_from_the_network_for_every_part(folders: tuple[Path, Path]) -> None:
     own, shipped = folders
     with pytest.raises(WeightsError, match=r"for every part, neither in .* --part generated makes them$"):

@@ -77,10 +77,10 @@ def test_the_compiled_maximum_and_its_gradient_are_torchs() -> None:
 
 def test_the_entering_layers_in_training_are_the_plain_ones() -> None:
     torch.manual_seed(0)
-    fused = OffsetConv(5, 6).train()
+    fused = OffsetConv(5, 6).double().train()
     torch.nn.init.uniform_(fused.second.norm.weight, -1.5, 1.5)  # of both signs: the largest sum is not always the one
     plain = copy.deepcopy(fused)
-    points = torch.from_numpy(np.stack([cloud(), cloud(seed=1)]).astype(np.float32)).requires_grad_()
+    points = torch.from_numpy(np.stack([cloud(), cloud(seed=1)])).requires_grad_()
     neighbours = torch.from_numpy(np.random.default_rng(2).integers(0, 200, (2, 200, 4)))
     edges = plain.first(gather_neighbours(points, neighbours) - points[:, :, None])
     found = []
@@ -88,11 +88,13 @@ def test_the_entering_layers_in_training_are_the_plain_ones() -> None:
         (fused, fused(points, neighbours)),
         (plain, plain.second(edges).amax(dim=2)),
     ):
-        weights = torch.linspace(-1, 1, features.numel()).view_as(features)
-        found.append([features, *torch.autograd.grad((weights * features).sum(), [points, *layer.parameters()])])
+        weights = torch.linspace(-1, 1, features.numel(), dtype=features.dtype).view_as(features)
+        found.append(
+            [features, *torch.autograd.grad((weights * features.square()).sum(), [points, *layer.parameters()])]
+        )
         found[-1] += list(layer.buffers())
     for mine, theirs in zip(*found, strict=True):
-        torch.testing.assert_close(mine, theirs, rtol=1e-3, atol=1e-3)
+        torch.testing.assert_close(mine, theirs, rtol=1e-9, atol=1e-9)
     layers = []
     fused.second.register_forward_hook(lambda *_: layers.append("plain"))
     fused(points, neighbours)
