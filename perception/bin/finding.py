@@ -9,7 +9,7 @@ from perception.bin.cloud import GridCloud
 from perception.bin.edges import AssumedRim, RimEdges, find_edges
 from perception.bin.first_guess import FirstGuess, Prior, find_table, guess_from_floor, guess_from_rim
 from perception.bin.judgement import is_another_size, opening_of, size_in_mm, uncertainty, why_unreliable
-from perception.bin.refinement import EDGE, WALLS, BinState, Refined, SurfacePoints, collect_points, refine
+from perception.bin.refinement import EDGE, WALLS, BinState, Refined, SurfacePoints, collect_points, lowered, refine
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, invert_transform, require_shape
 
@@ -96,7 +96,8 @@ def _refine(frame: Frame, cloud: GridCloud, guess: FirstGuess) -> tuple[Refined,
             edges = find_edges(frame, assumed, reach)
         last = k == len(reaches) - 1
         on = collect_points(cloud, state, edges, faces=last and edges is not None)
-        refined = refine(state, on, _prior_std(on))
+        start = state if edges is None else lowered(state, on.floor)
+        refined = refine(start, on, _prior_std(on))
         state = refined.state if not state.free else _measured(refined.state)
     return refined, edges
 

@@ -64,12 +64,14 @@ class SurfacePoints:
     Attributes:
         points_cam: (N, 3) points in the camera frame [m].
         normals_bin: (N, 3) outward unit normals of their surfaces, bin frame.
-        kinds: (N,) index of each point's surface in `KINDS`.
+        kinds: (N,) kind of each point's surface: `FLOOR`, `RIM`, `EDGE` and `FACE` plus the index of a side in `SIDES`.
+        floor: Height at which the floor was seen, bin frame [m]; None if it was not seen.
     """
 
     points_cam: Floats
     normals_bin: Floats
     kinds: NDArray[np.int64]
+    floor: float | None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -130,7 +132,24 @@ def collect_points(cloud: GridCloud, state: BinState, edges: RimEdges | None, *,
             [np.tile(normal, (len(points), 1)) for _, points, normal in found] or [np.zeros((0, 3))]
         ),
         kinds=np.concatenate([np.full(len(points), kind) for kind, points, _ in found] or [np.zeros(0, np.int64)]),
+        floor=floor,
     )
+
+
+def lowered(state: BinState, floor: float | None) -> BinState:
+    """Return a bin moved down to its floor, if that is lower than stated, with the rim where it was.
+
+    From the stated height the refinement would take the points of such a floor for outliers. A floor that seems higher
+    may be flat parts, and moves nothing.
+
+    Args:
+        state: The bin.
+        floor: Height at which its floor was seen, bin frame [m]; None if it was not seen.
+    """
+    if floor is None or floor >= 0:
+        return state
+    T_cam_bin = state.T_cam_bin @ make_transform(translation=(0.0, 0.0, floor))
+    return replace(state, T_cam_bin=T_cam_bin, lift=state.lift - floor)
 
 
 def floor_height(points_bin: Floats, state: BinState) -> float | None:

@@ -89,11 +89,17 @@ def test_flat_parts_all_over_the_floor_are_no_floor() -> None:
     assert 0.0008 < fit.translation_std < 0.003  # the stated height of the rim is not exact
 
 
-def test_a_floor_that_is_lower_than_the_stated_height_counts() -> None:
-    stated = scene.INNER - np.array([0.0, 0.0, 0.008])
-    frame = AT.see(EMPTY)
-    fit = find_bin(frame, stated, scene.workspace(AT, stated))
-    assert errors(fit, frame)[0] < 1.0
+@pytest.mark.parametrize("missing", [0.002, 0.004, 0.008])
+@pytest.mark.parametrize("near", [True, False])
+def test_a_floor_that_is_lower_than_the_stated_height_counts(missing: float, near: bool) -> None:
+    stated = scene.INNER - np.array([0.0, 0.0, missing])
+    frame = AT.off(AT.see(EMPTY), OFF)
+    fit = find_bin(frame, stated, scene.workspace(AT, stated) if near else None)
+    assert fit.reliable
+    assert "floor" in fit.seen
+    away, turned = errors(fit, frame)
+    assert away < 0.5
+    assert turned < 0.1 or turned > 179.9  # half a turn cannot be seen
 
 
 def test_a_bin_that_reaches_out_of_the_image_is_found_by_the_edges_in_view() -> None:
