@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from perception.bin.opening import rim_tolerance
 from perception.frame import Frame
-from perception.geometry import Floats
+from perception.geometry import NEAR, Floats
 
 SIDES = ((0, 1), (0, -1), (1, 1), (1, -1))  # axis and sign of the walls: x+, x-, y+, y-
 LINES = 100  # lines across each edge
@@ -30,6 +30,9 @@ class RimEdges:
     points_cam: Floats
     sides: NDArray[np.int64]
     offsets: Floats
+
+
+_NO_EDGES = RimEdges(points_cam=np.zeros((0, 3)), sides=np.zeros(0, np.int64), offsets=np.full(4, np.nan))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,8 +59,14 @@ def find_edges(frame: Frame, rim: AssumedRim, reach: float) -> RimEdges:
         frame: Frame of the camera.
         rim: Where the rim is assumed to be.
         reach: Distance from an assumed edge up to which it is looked for [m].
+
+    Returns:
+        The points; none if the rim's middle is not in front of the camera.
     """
-    pixel = float(rim.T_cam_bin[2, 3]) / float(frame.K[0, 0])
+    depth = float(rim.T_cam_bin[2, 3] + rim.height * rim.T_cam_bin[2, 2])
+    if depth <= NEAR:
+        return _NO_EDGES
+    pixel = depth / float(frame.K[0, 0])
     step = pixel / 2
     window = max(round(max(0.002, 3 * pixel) / step), 2)
     across = step * (np.arange(-int(reach / step) - window, int(reach / step) + window + 1))
@@ -83,7 +92,7 @@ def find_edges(frame: Frame, rim: AssumedRim, reach: float) -> RimEdges:
         sides.append(np.full(len(kept), k))
         offsets[k] = float(np.mean(outside[kept]))
     if not points:
-        return RimEdges(points_cam=np.zeros((0, 3)), sides=np.zeros(0, np.int64), offsets=offsets)
+        return _NO_EDGES
     return RimEdges(points_cam=np.concatenate(points), sides=np.concatenate(sides), offsets=offsets)
 
 

@@ -177,6 +177,17 @@ def test_a_bin_that_is_far_away_is_not_taken() -> None:
     assert fit.T_world_bin is aside.T_world_bin
 
 
+def test_a_bin_whose_middle_lies_behind_the_camera_is_not_measured() -> None:
+    inner = np.array([1.0, 0.3, 0.12])
+    along = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]  # a camera that looks along the bin, turned down by 26 degrees
+    down = rotation_about((1, 0, 0), np.deg2rad(-26))
+    T_bin_cam = make_transform(np.array(along) @ down, (0.2, 0.0, 0.35))
+    at = replace(AT, T_world_cam=AT.T_world_bin @ T_bin_cam, K=camera_matrix(400.0, 640, 480))
+    fit = find_bin(at.see([scene.TABLE, *scene.walls(inner)]), inner, scene.workspace(at, inner))
+    assert invert_transform(T_bin_cam)[2, 3] < 0
+    assert fit.reason == "its rim was not found"
+
+
 def test_nothing_is_known_without_depth_and_without_a_pose() -> None:
     fit = find_bin(AT.see([]), None)
     assert (fit.T_world_bin, fit.inner_size) == (None, None)
