@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from perception.bin import Trust, check_trust
+
 if TYPE_CHECKING:
     from perception.frame import Workspace
 
@@ -14,7 +16,6 @@ SensorPreset = Literal["none", "good", "harsh", "stereo", "tof"]
 SensorChoice = SensorPreset | Literal["mixed", "all"]  # mixed, all: a preset drawn for each scene
 AppearanceChoice = Literal["clean", "varied"]  # varied: an appearance drawn for each scene
 Perception = Literal["oracle", "gt_masks", "learned"]  # what finds the parts in a frame
-Trust = Literal["camera", "bin"]  # what is right where a frame shows the bin elsewhere than it is said to be
 GRIPPER_STROKE = 0.085  # largest distance between the 2F-85's pads [m]: its data sheet
 
 
@@ -99,8 +100,7 @@ class CalibrationConfig:
 
     def __post_init__(self) -> None:
         _require(0 <= self.rotation <= 0.06, f"rotation must be from 0 to 0.06 rad, got {self.rotation}")
-        known = get_args(Trust)
-        _require(self.trust in known, f"trust must be one of {', '.join(known)}, got {self.trust!r}")
+        check_trust(self.trust)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from binpick_env.cell.render import CellRenderer
 from binpick_env.cell.robot import HOME
 from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
-from binpick_env.config import CONTROL_PERIOD, Backend, CameraConfig, CellConfig, SensorPreset, Trust
+from binpick_env.config import CONTROL_PERIOD, Backend, CameraConfig, CellConfig, SensorPreset
 from binpick_env.env_arguments import count_range, episode_count, thread_count
 from binpick_env.env_spaces import Observation, ObsMode, action_limits, observation_boxes, observe
 from binpick_env.episode import EpisodeProperties, EpisodeState, FrameState, Snapshot
@@ -33,6 +33,7 @@ from binpick_env.part_limits import check_part, require_room
 from binpick_env.parts.part import Part, resolve_part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
+from perception.bin import Trust
 from perception.frame import Workspace
 from perception.geometry import Floats
 from perception.segmentation.choices import NetworkName
@@ -222,9 +223,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         drop_and_settle(self.simulation, count, self.np_random)
         self.simulation.data.time = 0.0
         self._judge = DeliveryJudge(self.simulation, CONTROL_PERIOD)
-        spread = self.config.camera.hand_eye
+        spread, turn = self.config.camera.hand_eye, self.config.calibration.rotation
         hand_eye = self.np_random.normal(scale=spread, size=3) if spread > 0 else np.zeros(3)
-        turn = self.config.calibration.rotation
         rotation = self.np_random.normal(scale=turn, size=3) if turn > 0 else np.zeros(3)
         self._episode = EpisodeState(
             total=count,

@@ -15,11 +15,11 @@ from binpick_env.config import (
     RobotConfig,
     SensorPreset,
     TrayConfig,
-    Trust,
 )
 from binpick_env.parts.density import check_density
 from binpick_env.parts.symmetry_tolerance import check_symmetry_tolerance
 from binpick_env.parts.unit import Unit, check_unit
+from perception.bin import Trust
 
 if TYPE_CHECKING:
     from binpick_env.parts.part import Part

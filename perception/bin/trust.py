@@ -1,20 +1,11 @@
 """What is corrected where camera and bin disagree: the bin's pose, or the camera's."""
 
 from dataclasses import replace
-from typing import Literal, get_args
 
 from perception.bin.bin_fit import BinFit
+from perception.bin.choices import Trust, check_trust
 from perception.frame import Frame, Workspace
 from perception.geometry import invert_transform
-
-Trust = Literal["camera", "bin"]
-
-
-def check_trust(trust: str) -> None:
-    """Raise ``ValueError`` unless ``trust`` is one of `Trust`."""
-    if trust not in get_args(Trust):
-        raise ValueError(f"trust must be one of {', '.join(get_args(Trust))}, got {trust!r}")
-
 
 UNSEEN_STD = 0.005, 0.026  # standard deviations of a pose that could not be measured [m], [rad]: 5 mm, 1.5 degrees
 

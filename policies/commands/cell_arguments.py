@@ -3,11 +3,12 @@
 from dataclasses import dataclass, fields
 from typing import Literal
 
-from binpick_env.config import Backend, SensorPreset, Trust
+from binpick_env.config import Backend, SensorPreset
 from binpick_env.options import CellOptions
 from binpick_env.options import evaluated as evaluated
 from binpick_env.options import scenes_of as scenes_of
 from binpick_env.parts.unit import Unit
+from perception.bin import Trust
 
 
 @dataclass(frozen=True, kw_only=True)

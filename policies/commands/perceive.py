@@ -10,6 +10,7 @@ import tyro
 
 from binpick_env.parts.label import part_label
 from binpick_env.parts.unit import Unit
+from perception.bin import Trust
 from perception.segmentation.choices import NetworkName
 from policies.commands.command_line import exit_code, parse
 
@@ -53,7 +54,7 @@ class Arguments:
     measure_bin: bool = True  # measure the bin in each frame, starting from --bin-pose
     # what is corrected where a frame shows the bin elsewhere than --bin-pose says: camera: the camera's pose is right,
     # and the bin may have moved; bin: the bin stands in a fixture, and the camera's pose is corrected
-    trust: Literal["camera", "bin"] = "camera"
+    trust: Trust = "camera"
     no_bin: tyro.conf.FlagCreatePairsOff[bool] = False  # search everything within the depths of the frame
     # pose of the camera in the world (x right, y down, z forward): 16 numbers row by row, or a JSON file of them; that
     # of the frame's file, or the identity, unless given

@@ -10,13 +10,14 @@ from typing import Literal
 
 import numpy as np
 
-from binpick_env.config import CameraConfig, CellConfig, Perception, SensorPreset, Trust
+from binpick_env.config import CameraConfig, CellConfig, Perception, SensorPreset
 from binpick_env.observation.factory import make_perceiver
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.options import CellOptions
 from binpick_env.part_limits import require_room
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
+from perception.bin import Trust
 from perception.runtime.records import RecordError
 from perception.segmentation.choices import NetworkName
 from policies.picking.settings import PickerSettings

@@ -10,12 +10,13 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from binpick_env.config import Backend, CameraConfig, CellConfig, SensorPreset, Trust
+from binpick_env.config import Backend, CameraConfig, CellConfig, SensorPreset
 from binpick_env.env import BinPickEnv
 from binpick_env.observation.oracle import PoseNoise
 from binpick_env.observation.perception_noise import PerceptionNoise
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
+from perception.bin import Trust
 from perception.segmentation.choices import NetworkName
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.episode import Termination
