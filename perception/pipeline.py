@@ -160,6 +160,7 @@ class Pipeline:
             cause = bin_size_cause(fit, self.workspace.inner_size, report.causes)
             causes = report.causes if cause is None else (cause, *report.causes)
             report = replace(report, bin=BinFacts.of(fit, self.workspace), causes=causes)
+            _log(report, self.estimator)
         return replace(seen, bin=fit, report=report, ms=ms | seen.ms)
 
     def _perceive(self, frame: Frame, workspace: Workspace) -> Perception:
@@ -208,7 +209,7 @@ def perceive_by(
     clock.append(time.perf_counter())
     counts = _count_poses(estimates, poses, missed, estimator.config.min_score)
     report = diagnose(frame, workspace, estimator.part, boundary, counts)
-    log_causes(report, without=ABOUT_BIN if estimator.workspace is None else ())
+    _log(report, estimator)
     ms = {name: 1000 * (b - a) for name, (a, b) in zip(STAGES[1:], pairwise(clock), strict=True)}
     return Perception(
         boundary=boundary,
@@ -222,6 +223,11 @@ def perceive_by(
         workspace=workspace,
         T_world_cam=frame.T_world_cam,
     )
+
+
+def _log(report: FrameReport, estimator: PoseEstimator) -> None:
+    """Log the causes of a report; none about the bin where no bin limits the poses."""
+    log_causes(report, without=ABOUT_BIN if estimator.workspace is None else ())
 
 
 def _rejected_by_bin(

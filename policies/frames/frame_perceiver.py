@@ -7,7 +7,7 @@ import numpy as np
 
 from perception.bin import BinFit, find_bin
 from perception.boundary import BoundarySettings
-from perception.diagnosis import ABOUT_BIN, BinFacts, bin_size_cause, no_bin_cause
+from perception.diagnosis import ABOUT_BIN, BinFacts, bin_size_cause, log_causes, no_bin_cause
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, make_transform, rotation_about
 from perception.part import PartModel
@@ -138,6 +138,7 @@ def _with_bin(seen: Perception, fit: BinFit, size_given: Floats | None) -> Perce
                 cause = no_bin_cause(size_given)
             causes = causes if cause is None else (cause, *causes)
         report = replace(report, bin=BinFacts.of(fit, None, size_given), causes=causes)
+        log_causes(report)
     return replace(seen, bin=fit, report=report)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from perception.bin import find_bin, reconcile
-from perception.diagnosis import BinFacts
+from perception.diagnosis import BinFacts, log
 from perception.frame import Frame, Workspace
 from perception.geometry import invert_transform, make_transform, rotation_about, rotation_angle
 from perception.pipeline import STAGES, Perception, Pipeline
@@ -43,7 +43,9 @@ def test_parts_are_found_in_a_bin_that_stands_elsewhere() -> None:
     blind = pipeline(ELSEWHERE, measure_bin=False).perceive(FRAME)
     assert len(seen.poses) == len(scene.POSES)
     assert len(blind.poses) < len(scene.POSES)
-    assert off(seen.workspace.T_world_bin, scene.BIN.T_world_bin) < (1.0, 0.3)
+    distance, angle = off(seen.workspace.T_world_bin, scene.BIN.T_world_bin)
+    assert distance < 1.0
+    assert angle < 0.3
     np.testing.assert_array_equal(seen.T_world_cam, FRAME.T_world_cam)
     assert tuple(seen.ms) == STAGES
     assert tuple(blind.ms) == STAGES[1:]
@@ -63,7 +65,9 @@ def test_the_report_says_how_far_off_the_bin_was() -> None:
 
 def test_a_trusted_bin_corrects_the_camera() -> None:
     seen = pipeline(scene.BIN, trust="bin").perceive(BELIEVED_CAM)
-    assert off(seen.T_world_cam, FRAME.T_world_cam) < (2.5, 0.3)
+    distance, angle = off(seen.T_world_cam, FRAME.T_world_cam)
+    assert distance < 2.5
+    assert angle < 0.3
     np.testing.assert_array_equal(seen.workspace.T_world_bin, scene.BIN.T_world_bin)
     found = world_poses(seen)
     assert len(found) == len(scene.POSES)
@@ -81,9 +85,18 @@ def test_the_given_pose_is_kept_where_the_bin_is_not_seen() -> None:
     empty = replace(FRAME, depth=np.zeros_like(FRAME.depth))
     seen = pipeline(ELSEWHERE).perceive(empty)
     np.testing.assert_array_equal(seen.workspace.T_world_bin, ELSEWHERE.T_world_bin)
-    assert (seen.workspace.translation_std, ELSEWHERE.translation_std) == (0.005, 0.0)
+    assert seen.workspace.translation_std == 0.005
+    assert ELSEWHERE.translation_std == 0.0
     assert not seen.report.bin.measured
     assert "the bin was not measured: hardly any pixel has a depth" in str(seen.report)
+
+
+def test_a_bin_of_another_size_is_logged(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log, "_logged", set())
+    stated = replace(scene.BIN, inner_size=scene.BIN.inner_size - np.array([0.008, 0.008, 0.0]))
+    seen = pipeline(stated).perceive(FRAME)
+    (cause,) = (cause for cause in seen.report.causes if cause.name == "bin_size")
+    assert [record.message for record in caplog.records].count(cause.text) == 1
 
 
 def test_the_given_estimator_is_left_as_it_is() -> None:

@@ -1,4 +1,4 @@
-"""The box that is searched where no bin is known."""
+"""Frames whose bin stands anywhere: the box that is searched without any, and what is said of another one."""
 
 from dataclasses import replace
 
@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from perception.boundary import extract_boundary, organised_points
+from perception.diagnosis import log
 from perception.frame import Frame
 from perception.geometry import Floats, make_transform, random_rotation, transform_points
-from policies.frames import workspace_of_depth
-from tests.perception.block_scene import BIN, POSES, photographed
+from policies.frames import BinSettings, FramePerceiver, workspace_of_depth
+from tests.perception.block_scene import BIN, POSES, KnowingPredictor, photographed
+from tests.perception.diagnosis import bin_scene
+from tests.perception.pose.estimator_scene import quick_estimator
 
 FRAME = photographed(*POSES)
 
@@ -51,3 +54,15 @@ def test_a_frame_without_depth_has_a_box_too() -> None:
 def test_a_depth_in_millimetres_is_refused() -> None:
     with pytest.raises(ValueError, match=r"depths must be at most 20 m, got 56\d.* m: set --depth-scale"):
         workspace_of_depth(replace(FRAME, depth=1000 * FRAME.depth))
+
+
+def test_a_bin_of_another_size_is_logged(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log, "_logged", set())
+    perceiver = FramePerceiver.__new__(FramePerceiver)  # without the weights of a network
+    perceiver.part, perceiver.workspace = bin_scene.ELL, None
+    perceiver.predictor, perceiver.estimator = KnowingPredictor(bin_scene.true_groups), quick_estimator(bin_scene.ELL)
+    perceiver.bin = BinSettings(find=True, inner_size=bin_scene.BIN.inner_size - np.array([0.008, 0.008, 0.0]))
+    seen = perceiver.perceive(bin_scene.good()[0])
+    assert seen.report is not None
+    (cause,) = (cause for cause in seen.report.causes if cause.name == "bin_size")
+    assert [record.message for record in caplog.records].count(cause.text) == 1
