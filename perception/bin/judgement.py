@@ -43,7 +43,10 @@ def why_unreliable(refined: Refined, opening: Floats, cloud: GridCloud, prior: P
             return f"its opening measures {size_in_mm(opening)} mm, but inner_size says {size_in_mm(stated)} mm"
     translation, rotation = uncertainty(refined, walls=seen[0])
     if translation > _MOST_TRANSLATION or rotation > _MOST_ROTATION:
-        return f"too little of it is seen: its pose is uncertain by {1000 * translation:.1f} mm"
+        return (
+            f"too little of it is seen: its pose is uncertain by {1000 * translation:.1f} mm and "
+            f"{np.degrees(rotation):.2f} degrees"
+        )
     if prior.T_cam_bin is not None:
         T = invert_transform(prior.T_cam_bin) @ refined.state.T_cam_bin
         distance, angle = float(np.linalg.norm(T[:3, 3])), float(rotation_angle(T[:3, :3]))

@@ -71,9 +71,9 @@ def test_surfaces_that_do_not_tell_a_pose_are_named(unseen: tuple[str, ...], rea
     ("std", "reason"),
     [
         ({0: 0.0028}, None),
-        ({0: 0.0032}, "too little of it is seen: its pose is uncertain by 3.2 mm"),
+        ({0: 0.0032}, "too little of it is seen: its pose is uncertain by 3.2 mm and 0.02 degrees"),
         ({5: np.deg2rad(0.65)}, None),
-        ({5: np.deg2rad(0.75)}, "too little of it is seen: its pose is uncertain by 0.4 mm"),
+        ({5: np.deg2rad(0.75)}, "too little of it is seen: its pose is uncertain by 0.4 mm and 0.75 degrees"),
     ],
 )
 def test_an_uncertain_pose_is_not_believed(std: Mapping[int, float], reason: str | None) -> None:
