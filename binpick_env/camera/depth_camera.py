@@ -1,6 +1,7 @@
 """The overhead depth camera: true depth and part ids from one of three backends, then shading and sensor noise."""
 
 import logging
+import math
 import os
 from dataclasses import dataclass
 from functools import lru_cache
@@ -255,5 +256,5 @@ def _say_what_is_unseen(config: CameraConfig, length: float, width: float, heigh
             "from %.2f m on (--camera-distance, in Python camera_distance=)",
             *(1000 * side for side in (length, width, height)),
             config.distance,
-            needed,
+            math.ceil(100 * needed) / 100,  # a distance to be followed, which rounding down would put too near
         )

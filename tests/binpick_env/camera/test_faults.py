@@ -124,3 +124,16 @@ def test_a_bin_that_lies_partly_outside_the_image_is_said_once(caplog: pytest.Lo
     view = np.array([CAMERA.width, CAMERA.height]) / CAMERA.focal_px * (needed - 0.12)
     assert (view >= (0.36 - 0.01, 0.26 - 0.01)).all()
     assert (view < (0.36 + 0.02, 0.26 + 0.02)).any()
+
+
+@pytest.mark.parametrize("focal", [2100.0, 2180.0, 2240.0])
+def test_from_the_distance_that_the_warning_names_nothing_is_unseen(
+    focal: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    scene = build(np.zeros((0, 4, 4)))
+    config = replace(CAMERA, focal=focal, distance=0.5)
+    make_camera(scene, config).close()
+    needed = float(caplog.text.split("its rim is seen from ")[1].split(" m on")[0])
+    caplog.clear()
+    make_camera(scene, replace(config, distance=needed)).close()
+    assert not caplog.text
