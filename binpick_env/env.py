@@ -342,10 +342,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         self.camera.displace(*hand_eye)
         capture = self.camera.capture(simulation.data, self.np_random, self._sensor, self.light)
         captured = time.perf_counter()
-        offset = hand_eye[0]
         if self.config.calibration.trust == "bin":
             capture = correct_by_bin(capture, self.workspace)
-            offset = capture.frame.T_world_cam[:3, 3] - capture.T_world_cam[:3, 3]
         corrected = time.perf_counter()
         poses = simulation.part_poses()
         labelled = LabelledCapture(
@@ -354,7 +352,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             part=self.part.model,
             T_world_parts=poses,
             visible_fractions=visible_fractions(capture, self.part.model.mesh, poses) * simulation.in_play,
-            hand_eye=offset,
+            hand_eye=hand_eye[0],
         )
         labelled_at = time.perf_counter()
         observed = self._perceiver.perceive(labelled, self.np_random, likely=likely)
