@@ -23,6 +23,7 @@ from perception.geometry import Floats
 from perception.part import PartModel, Symmetry
 
 SymmetryChoice = Symmetry | Literal["detect", "none"]
+_NO_SYMMETRY = Symmetry()  # a single one, by which the same file is found again among the loaded ones
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -188,7 +189,7 @@ def _file_part(
 
 
 def _group(symmetry: SymmetryChoice) -> Symmetry:
-    return symmetry if isinstance(symmetry, Symmetry) else Symmetry()
+    return symmetry if isinstance(symmetry, Symmetry) else _NO_SYMMETRY
 
 
 def _assemble(drawn: Design, *, source: str) -> Part:

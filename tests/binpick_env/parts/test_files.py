@@ -118,6 +118,7 @@ def test_a_file_is_read_once_until_it_changes(save: Callable[..., Path], caplog:
         save(creation.box((30, 40, 60)))
         assert load_part(path).model.d_max > first.model.d_max
     assert caplog.text.count("is taken to be in millimetres") == 3
+    assert load_part(path, symmetry="none") is load_part(path, symmetry="none")
 
 
 # --- what is refused ---
