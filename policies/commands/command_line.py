@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import tyro
 
@@ -42,14 +42,16 @@ def _unwritable(options: Any) -> Iterator[str]:
         path = getattr(options, field.name)
         if not isinstance(path, Path) or field.name not in _FILES + _FOLDERS:
             continue
-        option = f"--{field.name.replace('_', '-')}"
+        is_positional = tyro.conf.Positional in get_args(field.type)
+        option = "the argument" if is_positional else f"--{field.name.replace('_', '-')}"
         is_folder = field.name in _FOLDERS and path.suffix != ".png"  # --out of a picture is a file
-        there = next(each for each in (path, *path.absolute().parents) if each.exists())
+        # Path.exists raises below a folder that cannot be entered, and so does Path.is_dir.
+        there = next(each for each in (path, *path.absolute().parents) if os.path.exists(each))  # noqa: PTH110
         if there != path and not there.is_dir():
             yield f"{option} {path} cannot be written: {there} is a file, and no folder"
-        elif path.is_dir() and not is_folder:
+        elif there == path and path.is_dir() and not is_folder:
             yield f"{option} must name a file, got the folder {path}"
-        elif path.is_file() and is_folder:
+        elif there == path and path.is_file() and is_folder:
             yield f"{option} must name a folder, got the file {path}"
         elif not os.access(there, os.W_OK):
             yield f"{option} {path} cannot be written: {there} is read-only"

@@ -1,15 +1,17 @@
 """`binpick`: the list of commands, their help, and what it may load."""
 
+import errno
 import importlib
 import json
 import logging
+import os
 import re
 import subprocess
 import sys
 from dataclasses import fields
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 
@@ -188,6 +190,27 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(
     with pytest.raises(SystemExit):
         main(["generate-scenes", "--out", str(tmp_path / "scenes")])
     assert "--out must name a folder, got the file" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["example", str(tmp_path / "scenes")])
+    assert capsys.readouterr().err == f"error: the argument must name a folder, got the file {tmp_path / 'scenes'}\n"
+
+
+def test_a_folder_that_cannot_be_entered_is_said_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stat, access = os.stat, os.access
+
+    def locked_stat(path: Any, *arguments: Any, **options: Any) -> os.stat_result:
+        if tmp_path in Path(os.fspath(path)).parents:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return stat(path, *arguments, **options)
+
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path and access(path, mode))
+    monkeypatch.setattr(os, "stat", locked_stat)  # not by the folder's mode, which is nothing to root
+    with pytest.raises(SystemExit):
+        main(["compare", "one", "two", "--json", str(tmp_path / "new" / "a.json")])
+    monkeypatch.undo()
+    assert f"a.json cannot be written: {tmp_path} is read-only" in capsys.readouterr().err
 
 
 def test_every_output_of_a_command_is_checked_before_its_work() -> None:
