@@ -139,8 +139,9 @@ class EvaluationConfig:
     def _training(self) -> str:
         """Return the command that trains a network for the part alone."""
         unit = [] if self.unit is None else ["--unit", self.unit]
-        words = ["binpick", "train-segmentation", "--part", self.part, *unit, "--initial", "none", "--minutes", "60"]
-        return shlex.join(words)
+        kind = [] if self.network == "grid" else ["--preset", self.network, "--install", "True"]
+        words = ["binpick", "train-segmentation", "--part", self.part, *unit, *kind]
+        return shlex.join([*words, "--initial", "none", "--minutes", "60"])
 
 
 def bin_seed(seed: int, index: int) -> int:

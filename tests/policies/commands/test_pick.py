@@ -183,3 +183,7 @@ def test_a_part_without_weights_gets_the_commands_that_make_them_and_the_other_m
     assert command[:6] == ["binpick", "train-segmentation", "--part", str(block), "--unit", "mm"]
     assert parse(train_segmentation.Arguments, "train-segmentation", command[2:]).part == (str(block),)
     assert not (tmp_path / "out").exists()
+    assert pick.main([*arguments, "--network", "dgcnn-sgpn"]) == 2
+    command = shlex.split(capsys.readouterr().err.split("weights of this part alone: ")[1])
+    training = parse(train_segmentation.Arguments, "train-segmentation", command[2:])
+    assert (training.preset, training.install) == ("dgcnn-sgpn", True)
