@@ -2,12 +2,17 @@
 
 import errno
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from perception.runtime.files import json_text, replace_atomically, write_atomically
+
+ROOT = Path(__file__).parents[3]
 
 
 def test_nan_becomes_null_however_deep() -> None:
@@ -55,7 +60,14 @@ def test_an_error_of_the_disk_names_the_file(tmp_path: Path, filename: str | Non
 
 
 def test_text_is_utf_8_whatever_the_locale(tmp_path: Path) -> None:
-    write_atomically(tmp_path / "page.html", "Gehäuse · ═")
+    code = (
+        "import sys; from pathlib import Path; from perception.runtime.files import write_atomically; "
+        r"write_atomically(Path(sys.argv[1]), 'Geh\u00e4use \u00b7 \u2550')"
+    )
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "page.html")], cwd=ROOT, env=os.environ | ascii_only, check=True
+    )
     assert (tmp_path / "page.html").read_bytes() == "Gehäuse · ═".encode()
 
 
