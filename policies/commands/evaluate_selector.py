@@ -98,7 +98,7 @@ def _compare(args: Arguments) -> str:
 
         records = evaluate_selectors(config, job, args.selectors, on_bin)
     best, results = compare_selectors(records, args.seed)
-    title = " · ".join([args.part, *conditions(asdict(config)), f"{counted(args.bins, 'bin')}", f"seed {args.seed}"])
+    title = " · ".join([args.part, *conditions(asdict(config)), counted(args.bins, "bin"), f"seed {args.seed}"])
     path = args.json or job.out / "selectors.json"
     save_selector_results(path, config, best, results, records)
     return "\n".join([title, selector_table(best, results), f"kept in {path}"])

@@ -19,7 +19,7 @@ def result_table(summary: Summary) -> str:
     """Return the table of an evaluation's numbers."""
     config = summary.config
     facts = conditions(config, summary.weights)
-    title = " · ".join([config["part"], *facts, f"{counted(summary.bins, 'bin')}", f"seed {summary.seed}"])
+    title = " · ".join([config["part"], *facts, counted(summary.bins, "bin"), f"seed {summary.seed}"])
     lines = [
         title,
         "═" * WIDTH,
