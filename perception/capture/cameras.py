@@ -15,10 +15,10 @@ from perception.capture.calibration import Calibration, require_pose
 from perception.capture.calibration_files import calibration_of
 from perception.capture.cloud import Cloud
 from perception.capture.content import Content
+from perception.capture.filling import fill_from_nearest
 from perception.capture.images import grey_image
 from perception.capture.options import ReadOptions
 from perception.capture.reading import frame_of_content
-from perception.capture.shading import fill_from_nearest
 from perception.frame import Frame
 from perception.geometry import Floats
 

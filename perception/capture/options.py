@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 Axes = Literal["opencv", "opengl"]
-GreySource = Literal["image", "cloud", "shaded depth"]
+GreySource = Literal["image", "cloud", "none"]
 Source = Literal["depth image", "organised cloud", "projected cloud"]
 
 
@@ -56,7 +56,8 @@ class ReadReport:
     Attributes:
         source: Kind of file. A projected cloud has no grid of pixels of its own: holes and edges are those of its
             projection.
-        grey: Where the grey image is from: an image file, the colours of the cloud, or the shaded depth.
+        grey: Where the grey image is from: an image, or the colours of the cloud; "none" if there is none, or one of
+            zeros.
         K_recovered: Whether the camera matrix was recovered from the cloud.
         K_residual: Root mean square distance between the pixels of an organised cloud and the projections of its points
             [px]; None for other sources.

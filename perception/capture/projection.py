@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.capture.shading import fill_from_nearest
+from perception.capture.filling import fill_from_nearest
 from perception.geometry import NEAR, Floats, project_points
 
 

@@ -17,7 +17,6 @@ from perception.capture.frame_edits import crop_frame, turn_frame
 from perception.capture.images import grey_image, metres, read_raw
 from perception.capture.options import ReadOptions, ReadReport
 from perception.capture.recordings import is_recording, recording_content, require_rosbags
-from perception.capture.shading import shade_depth
 from perception.capture.undistortion import undistort
 from perception.frame import Frame
 from perception.geometry import Floats
@@ -39,8 +38,8 @@ def read_frame(
 ) -> Frame:
     """Read one frame of a real camera from a depth image or a point cloud.
 
-    Without a grey image or a coloured cloud, the grey image is the shaded depth, because boundary extraction finds no
-    edge in an image of zeros. What the reading found is logged; :func:`read_frame_with_report` returns it.
+    Without a grey image or a coloured cloud, the frame's grey image is zeros, and its boundary points will be those of
+    the depth. What the reading found is logged; :func:`read_frame_with_report` returns it.
 
     Args:
         path: Depth image (16-bit PNG or TIFF, EXR, NPY), cloud (PCD, PLY, NPZ, or an image of three floating-point
@@ -190,14 +189,14 @@ def _from_depth(
     _require_registered(content.grey, depth.shape)
     grey, depth = undistort(content.grey, depth, camera)
     frame = Frame(
-        grey=shade_depth(depth, camera.K) if grey is None else grey,
+        grey=_or_zeros(grey, depth.shape),
         depth=depth,
         K=camera.K,
         T_world_cam=np.eye(4) if camera.T_world_cam is None else camera.T_world_cam,
     )
     return frame, ReadReport(
         source="depth image",
-        grey="shaded depth" if grey is None else "image",
+        grey="image" if frame.grey.any() else "none",
         undistorted=bool(camera.distortion.any()),
     )
 
@@ -217,19 +216,24 @@ def _from_cloud(content: Content, camera: Calibration | None, options: ReadOptio
         grey = images.grey
     poses = (camera.T_world_cam if camera is not None else None, images.T_world_cam, np.eye(4))
     frame = Frame(
-        grey=shade_depth(images.depth, images.K) if grey is None else grey,
+        grey=_or_zeros(grey, images.depth.shape),
         depth=images.depth,
         K=images.K,
         T_world_cam=next(pose for pose in poses if pose is not None),
     )
     return frame, ReadReport(
         source="projected cloud" if projected else "organised cloud",
-        grey="image" if content.grey is not None else "shaded depth" if grey is None else "cloud",
+        grey="none" if not frame.grey.any() else "cloud" if content.grey is None else "image",
         K_recovered=camera is None,
         K_residual=images.residual,
         undistorted=undistorted,
         unseen_points=images.unseen,
     )
+
+
+def _or_zeros(grey: NDArray[np.uint8] | None, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return a grey image, or zeros for a camera that takes none."""
+    return np.zeros(shape, np.uint8) if grey is None else grey
 
 
 def _require_registered(grey: NDArray[np.uint8] | None, shape: tuple[int, ...]) -> None:

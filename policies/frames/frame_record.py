@@ -119,7 +119,7 @@ def frame_lines(record: FrameRecord) -> list[str]:
     height, width = frame.depth.shape
     lines = [
         f"{record.path}: {reading.source}, {width} x {height} px, {percent(reading.measured_fraction)} with depth, "
-        f"grey from {reading.grey}"
+        f"{'no grey image' if reading.grey == 'none' else f'grey from {reading.grey}'}"
     ]
     report = [] if record.seen.report is None else str(record.seen.report).splitlines()
     if record.workspace is None:  # after the reason, which a report of a bin that was looked for begins with

@@ -1,4 +1,4 @@
-"""The verified poses of a frame as outlines on its grey image."""
+"""The verified poses of a frame as outlines on its grey image, or on its shaded depth."""
 
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from binpick_env.evaluation.pose.pictures import RIGHT, draw_strokes, outline
 from perception.geometry import project_points, transform_points
 from perception.runtime.files import replace_atomically
 from policies.frames.frame_record import FrameRecord
+from policies.frames.shading import shown_grey
 
 DIM = 0.75  # factor on the image's brightness under outlines
 _LABEL = 0.5  # size of the numbers, relative to OpenCV's font
@@ -18,6 +19,8 @@ _LABEL = 0.5  # size of the numbers, relative to OpenCV's font
 def draw_poses(record: FrameRecord) -> NDArray[np.uint8]:
     """Draw the visible edges of the verified poses on the grey image, with their numbers in the table.
 
+    Without a grey image, they are drawn on the shaded depth.
+
     Args:
         record: What was found in the frame.
 
@@ -25,7 +28,7 @@ def draw_poses(record: FrameRecord) -> NDArray[np.uint8]:
         (H, W, 3) uint8 BGR picture of the frame's size.
     """
     frame, estimator = record.frame, record.perceiver.estimator
-    picture = np.repeat((DIM * frame.grey).astype(np.uint8)[:, :, None], 3, axis=2)
+    picture = np.repeat((DIM * shown_grey(frame)).astype(np.uint8)[:, :, None], 3, axis=2)
     for number, pose in enumerate(record.seen.poses, start=1):
         draw_strokes(picture, outline(pose.T_cam_part, estimator.appearances, frame.K, (0, 0)), RIGHT)
         middle = transform_points(pose.T_cam_part, estimator.part.centre[None])

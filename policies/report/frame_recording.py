@@ -15,6 +15,7 @@ import rerun.blueprint as rrb
 from perception.geometry import Floats, quat_from_matrix, transform_points
 from policies.frames import FrameRecord
 from policies.frames.frame_record import frame_lines
+from policies.frames.shading import shown_grey
 from policies.grasping import GraspCandidate
 from policies.report.recording import check_recording, draft_of
 from policies.report.recording_motion import instance_poses, pack
@@ -58,7 +59,8 @@ class FrameRecording:
 
     def add(self, record: FrameRecord) -> None:
         """Write a frame, the segments and verified poses found in it, the grasps on them, and what is printed of it."""
-        stream, frame = self._stream, replace(record.frame, T_world_cam=record.T_world_cam)
+        stream = self._stream
+        frame = replace(record.frame, grey=shown_grey(record.frame), T_world_cam=record.T_world_cam)
         if self._count == 0:
             self._log_shape(record)
         stream.set_time("frame", sequence=self._count)

@@ -9,7 +9,7 @@ import pytest
 from perception import _depth_edge_kernels as kernels
 from perception.boundary import BoundarySettings, extract_boundary
 from perception.depth_edges import DepthEdgeSettings, depth_edges, depth_noise
-from perception.frame import Frame
+from perception.frame import Frame, Workspace
 from perception.geometry import camera_matrix, make_transform, rotation_about
 from tests.perception.flat_scene import FLOOR, K, Plate, bin_at, camera_over, flat, look
 from tests.perception.test_boundary import PIXEL, PLATE, inward, missed, on_plate, seen
@@ -153,6 +153,41 @@ def test_a_frame_without_a_grey_image_has_the_outlines_of_its_depth() -> None:
         np.testing.assert_array_equal(extract_boundary(other, workspace).pixels, cloud.pixels)
     chosen = extract_boundary(frame, workspace, BoundarySettings(source="depth"))
     np.testing.assert_array_equal(chosen.pixels, cloud.pixels)
+
+
+def test_the_boundary_of_a_box_with_holes_beside_it_is_its_outline() -> None:
+    depth = np.full((80, 96), 0.9, np.float32)
+    depth[30:50, 40:60] = 0.85
+    depth[10:14, 70:76] = 0
+    pixels = extract_boundary(
+        Frame(depth=depth, K=camera_matrix(150.0, 96, 80), T_world_cam=np.eye(4)), bin_below((0.5, 0.4, 0.1))
+    ).pixels
+    assert len(pixels) > 60
+    assert ((pixels >= (40, 30)) & (pixels < (60, 50))).all()
+    for side in (pixels[:, 0] < 44, pixels[:, 0] > 55, pixels[:, 1] < 34, pixels[:, 1] > 45):
+        assert np.count_nonzero(side) > 15
+
+
+def test_noise_draws_few_boundary_points_and_steps_stay_on_their_pixels() -> None:
+    depth = np.full((240, 320), 0.9) + np.random.default_rng(0).normal(0, 0.0015, (240, 320))
+    depth[100:150, 120:180] -= 0.03
+    frame = Frame(depth=depth.astype(np.float32), K=camera_matrix(400.0, 320, 240), T_world_cam=np.eye(4))
+    pixels = extract_boundary(frame, bin_below((0.6, 0.5, 0.1))).pixels
+    outline = np.zeros((240, 320), bool)
+    outline[100:150, 120:180] = True
+    outline[101:149, 121:179] = False
+    seen_at = np.zeros(outline.shape, np.uint8)
+    seen_at[pixels[:, 1], pixels[:, 0]] = 1
+    near = cv2.dilate(outline.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert (cv2.dilate(seen_at, np.ones((5, 5), np.uint8))[outline] > 0).all()
+    assert np.count_nonzero(seen_at) > 140  # noise puts several of the 216 on one pixel
+    assert np.count_nonzero(seen_at[~near]) == 0
+
+
+def bin_below(inner_size: tuple[float, float, float]) -> Workspace:
+    """Return a bin whose floor is 0.9 m below a camera at the origin."""
+    T = make_transform(rotation_about((1, 0, 0), np.pi), (0, 0, 0.9))
+    return Workspace(T_world_bin=T, inner_size=np.array(inner_size))
 
 
 def test_grey_and_depth_edges_complete_each_other() -> None:

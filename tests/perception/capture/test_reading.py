@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from perception.capture import Calibration, ReadOptions, read_frame, read_frame_with_report
+from perception.capture import Calibration, ReadOptions, read_frame, read_frame_with_report, write_frame
 from perception.capture.content import Content
 from perception.capture.reading import _from_cloud
+from perception.frame import Frame
 from perception.geometry import make_transform
 from tests.perception.capture.camera_files import HEIGHT, WIDTH, K, pcd_header, scene_depth, scene_points, written
 
@@ -51,7 +52,8 @@ def test_bops_image_is_found_by_the_name_of_the_file(depth_file: Path) -> None:
     frame, report = read_frame_with_report(depth_file, calibration=cameras)
     np.testing.assert_allclose(frame.depth, scene_depth() / 2, atol=3e-4)
     assert frame.T_world_cam[2, 3] == -0.5
-    assert report.grey == "shaded depth"
+    assert report.grey == "none"
+    assert not frame.grey.any()
     stated = read_frame(depth_file, calibration=cameras, options=ReadOptions(scale=0.001))
     np.testing.assert_allclose(stated.depth, scene_depth(), atol=6e-4)
 
@@ -115,6 +117,14 @@ def test_an_organised_cloud_needs_nothing_else(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_frame(path, grey=tmp_path / "grey.png").grey, GREY)
 
 
+@pytest.mark.parametrize("name", ["a.npz", "a.json"])
+def test_a_frame_without_a_grey_image_is_kept_as_one(tmp_path: Path, name: str) -> None:
+    write_frame(Frame(depth=scene_depth(), K=K, T_world_cam=POSE), tmp_path / name)
+    frame, report = read_frame_with_report(tmp_path / name)
+    assert report.grey == "none"
+    assert not frame.has_grey
+
+
 @pytest.mark.parametrize("kind", ["npy", "tiff", "npz"])
 def test_clouds_in_arrays_and_images(tmp_path: Path, kind: str) -> None:
     path, points = tmp_path / f"a.{kind}", scene_points(np.float32)
@@ -126,7 +136,7 @@ def test_clouds_in_arrays_and_images(tmp_path: Path, kind: str) -> None:
         np.savez(path, xyz=points, color=np.dstack([GREY, GREY, GREY]))
     frame, report = read_frame_with_report(path)
     np.testing.assert_array_equal(frame.depth, scene_depth())
-    assert report.grey == ("image" if kind == "npz" else "shaded depth")
+    assert report.grey == ("image" if kind == "npz" else "none")
     assert kind != "npz" or (frame.grey == GREY).all()
 
 
