@@ -83,18 +83,26 @@ def recording_content(
         path: ROS 1 bag, ROS 2 bag (folder or .db3), MCAP file, or a recording of librealsense (.bag, .db3).
         index: Number of the frame in the recording; negative ones count from the end.
         topic: Topic of the depth images or clouds; None for the only one.
-        grey_topic: Topic of the grey or colour images; None for the one that is registered, if there is one.
+        grey_topic: Topic of the grey or colour images of depth images; None for the one that is registered, if there is
+            one.
         calibrated: Whether to read the calibration of the depth images; False where another one is used, so that one
             that cannot be used is no error.
 
     Raises:
         ModuleNotFoundError: The extra ``cameras`` is not installed.
-        ValueError: The recording has no such frame or topic, or several and none is named.
+        ValueError: The recording has no such frame or topic, or several and none is named; or ``grey_topic`` is given
+            for clouds.
     """
     with _opened(path) as reader:
         source = _chosen(reader, path, topic)
         message, time = _message(reader, source, index, path)
         if source.msgtype == _CLOUD:
+            if grey_topic is not None:
+                raise ValueError(
+                    f"grey_topic needs a topic of depth images, got the clouds of {source.name}, whose grey is that of "
+                    "their points: leave grey_topic out, or name depth images by topic (--grey-topic and --topic on "
+                    "the command line)"
+                )
             return Content(cloud=cloud_of(message, source.name))
         depth = depth_of(message, source.name)
         frame = _Registered(size=(depth.shape[1], depth.shape[0]), frame_id=message.header.frame_id, time=time)

@@ -78,7 +78,7 @@ def test_a_colour_image_of_another_camera_is_not_taken_but_can_be_named(tmp_path
         ("/c/image", 2, make.image(red, "rgb8", frame="elsewhere")),
     ]
     path = make.write(tmp_path / "a", entries)
-    assert read_frame_with_report(path)[1].grey == "shaded depth"
+    assert read_frame_with_report(path)[1].grey == "none"
     frame, report = read_frame_with_report(path, options=ReadOptions(grey_topic="/c/image"))
     assert report.grey == "image"
     assert np.unique(frame.grey).tolist() == [60]  # 0.299 of 200
@@ -94,7 +94,7 @@ def test_of_two_registered_images_none_is_taken(tmp_path: Path) -> None:
         ("/left/image", 2, make.image(GREY, "mono8")),
         ("/right/image", 2, make.image(GREY, "mono8")),
     ]
-    assert read_frame_with_report(make.write(tmp_path / "two", entries))[1].grey == "shaded depth"
+    assert read_frame_with_report(make.write(tmp_path / "two", entries))[1].grey == "none"
     assert read_frame_with_report(make.write(tmp_path / "one", entries[:-1]))[1].grey == "image"
 
 
@@ -121,7 +121,7 @@ def test_compressed_grey_images_are_taken_where_they_are_named(tmp_path: Path) -
         ("/ir/image/compressed", 2, make.compressed(png, "mono8; png compressed")),
     ]
     path = make.write(tmp_path / "a", entries)
-    assert read_frame_with_report(path)[1].grey == "shaded depth"
+    assert read_frame_with_report(path)[1].grey == "none"
     frame = read_frame(path, options=ReadOptions(grey_topic="/ir/image/compressed"))
     np.testing.assert_array_equal(frame.grey, GREY)
     with pytest.raises(ValueError, match="compressed must hold compressedDepth images, got compressed images of 'mono"):
@@ -145,6 +145,10 @@ def test_depth_images_are_preferred_to_the_cloud_of_the_same_camera(tmp_path: Pa
     cloud, report = read_frame_with_report(path, options=ReadOptions(topic="/d/points"))
     assert report.source == "organised cloud"
     np.testing.assert_allclose(cloud.depth, DEPTH_MM / 500, rtol=1e-6)
+    with pytest.raises(
+        ValueError, match="grey_topic needs a topic of depth images, got the clouds of /d/points, whose"
+    ):
+        read_frame(path, options=ReadOptions(topic="/d/points", grey_topic="/d/image"))
 
 
 def test_rectified_images_have_the_projection_matrix_and_no_distortion(tmp_path: Path) -> None:
@@ -182,7 +186,7 @@ def test_recordings_of_librealsense_state_their_unit(old: bool, tmp_path: Path) 
     frame, report = read_frame_with_report(path)
     np.testing.assert_allclose(frame.depth, DEPTH_MM * 0.00025, rtol=1e-6)
     np.testing.assert_array_equal(frame.K, K)
-    assert report.grey == "shaded depth"  # infrared shows the projector's dots
+    assert report.grey == "none"  # infrared shows the projector's dots
     other = read_frame(path, calibration=2 * K * [[1], [1], [0.5]])  # whose own unit is not known
     np.testing.assert_array_equal(other.depth, frame.depth)
     assert other.K[0, 0] == 120
