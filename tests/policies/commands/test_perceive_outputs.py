@@ -5,9 +5,11 @@ import json
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from perception.capture import write_frame
 from perception.frame import Frame
 from perception.geometry import make_transform
 from policies.frames import FrameRecord, grasp_finder
@@ -65,6 +67,20 @@ def test_a_recording_holds_all_frames_and_nothing_is_resumed(folder: Path, monke
     assert rows["/world/seen/poses"] == 3  # the shape, and the poses in each frame
     assert rows["/report"] == 2
     assert [path.name for path in (folder / "new").iterdir()] == ["seen.rrd"]
+
+
+def test_pictures_of_a_frame_without_a_grey_image_show_its_depth(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_frame(Frame(depth=FRAME.depth, K=FRAME.K, T_world_cam=FRAME.T_world_cam), folder / "blind.npz")
+    shown: list[Frame] = []
+    monkeypatch.setattr(frame_recording, "log_camera", lambda _, frame: shown.append(frame))
+    call = ["blind.npz", *IN_BIN, "--rerun", "seen.rrd", "--overlay", "seen", "--json", "blind.json"]
+    done = run("perceive", *call, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[0].endswith("100.0 % with depth, no grey image")
+    (frame,) = frames_in(folder / "blind.json")
+    assert (frame["reading"]["grey"], frame["report"]["boundary_source"]) == ("none", "depth")
+    assert np.median(shown[0].grey) > 100
+    assert np.median(cv2.imread(str(folder / "seen" / "blind_poses.png"))) > 75
 
 
 def test_a_stopped_run_leaves_no_recording(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
