@@ -1,8 +1,8 @@
 """Each test process computes on one thread, since pytest-xdist starts one a core, and gives back what cells held."""
 
-import ctypes
 import gc
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,17 +17,18 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 import cv2  # noqa: E402
 
 from tests.chromium import chromium  # noqa: E402
+from tests.memory import give_back  # noqa: E402
 
 cv2.setNumThreads(1)
 
-GROWTH = 100e6  # of this process since its memory was last given back [bytes]
-_RESIDENT = Path("/proc/self/statm")
-_kept = 0.0
+ROOT = Path(__file__).resolve().parents[1]
 
 
-def _resident() -> float:
-    """Return the bytes of memory that this process occupies, 0 where the system does not tell."""
-    return float(_RESIDENT.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if _RESIDENT.exists() else 0.0
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the kernels once, in a process that ends, before several test processes load them."""
+    if getattr(session.config.option, "numprocesses", None) and not hasattr(session.config, "workerinput"):
+        session.config.get_terminal_writer().line("compiling the kernels, unless it is done: up to a minute")
+        subprocess.run([sys.executable, "-m", "tests.compiled_kernels"], cwd=ROOT, capture_output=True, check=False)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -44,14 +45,8 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(autouse=True)
 def _memory_is_given_back() -> Iterator[None]:
-    """Free cells that tests leave behind: each holds 250 MB in cycles, too few objects for the collector to notice."""
-    global _kept
     yield
-    if _resident() > _kept + GROWTH:
-        gc.collect()
-        if sys.platform == "linux":
-            ctypes.CDLL(None).malloc_trim(0)
-        _kept = _resident()
+    give_back()
 
 
 @pytest.fixture(scope="module")

@@ -146,11 +146,12 @@ def test_the_arms_way_home_is_remembered(env: BinPickEnv) -> None:
 def test_snapshots_of_another_cell_are_refused(env: BinPickEnv) -> None:
     snapshot = env.snapshot()
     narrow = CellConfig(bin=BinConfig(inner_size=(0.3, 0.2, 0.1)))
-    for other, reason in [
-        (small_env(num_parts=4), r"parts: 3 there, 4 here; model: \d+ there, \d+ here"),
-        (small_env(part="part_a"), "part: tee there, part_a here"),
-        (small_env(config=narrow), r"bin: BinConfig\(inner_size=\(0.36, 0.26, 0.12\).*\) there, .*\(0.3, 0.2, 0.1\)"),
+    for options, reason in [
+        ({"num_parts": 4}, r"parts: 3 there, 4 here; model: \d+ there, \d+ here"),
+        ({"part": "part_a"}, "part: tee there, part_a here"),
+        ({"config": narrow}, r"bin: BinConfig\(inner_size=\(0.36, 0.26, 0.12\).*\) there, .*\(0.3, 0.2, 0.1\)"),
     ]:
+        other = small_env(**options)
         other.reset(seed=2)
         before = facts(other)
         with pytest.raises(ValueError, match=rf"the snapshot is of another cell \({reason}"):

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from policies.commands import main as entry
+from tests.memory import give_back
 
 ROOT = Path(__file__).resolve().parents[3]
 TINY = ["--min-parts", "2", "--max-parts", "2", "--width", "640", "--height", "480", "--sensor", "none"]
@@ -26,6 +27,7 @@ def run(command: str, *arguments: str, cwd: Path = ROOT) -> subprocess.Completed
             code = entry.main([command, *arguments])
         except SystemExit as stop:
             code = int(stop.code or 0)
+    give_back()
     return subprocess.CompletedProcess([command, *arguments], code, out.getvalue(), err.getvalue())
 
 

@@ -43,10 +43,11 @@ def test_gymnasiums_checker(shared_env: GraspSelectionEnv) -> None:
 
 
 @pytest.mark.slow
-def test_gymnasiums_checker_renders(monkeypatch: pytest.MonkeyPatch) -> None:
-    # It makes every declared mode; the viewer is not to be had without a display.
-    monkeypatch.setitem(GraspSelectionEnv.metadata, "render_modes", ["rgb_array", "depth_array"])
-    check_env(gym.make("BinPickSelect-v0", render_mode="rgb_array", **SMALL).unwrapped)
+@pytest.mark.parametrize("mode", ["rgb_array", "depth_array"])
+def test_gymnasiums_checker_renders(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # It makes every declared mode at once; the viewer is not to be had without a display.
+    monkeypatch.setitem(GraspSelectionEnv.metadata, "render_modes", [mode])
+    check_env(gym.make("BinPickSelect-v0", render_mode=mode, **SMALL).unwrapped)
 
 
 @pytest.mark.slow
