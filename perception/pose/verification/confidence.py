@@ -65,8 +65,8 @@ class ConfidenceConfig:
     patch_weight: float = -0.6
     stray: float = 0.03
     stray_weight: float = -40.0
-    noise: float = 0.0012
-    noise_weight: float = -900.0
+    noise: float = 0.0010
+    noise_weight: float = -1000.0
 
     def __post_init__(self) -> None:
         for name in ("bias", *COEFFICIENTS):

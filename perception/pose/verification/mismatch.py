@@ -21,6 +21,7 @@ from perception.pose.verification.verification import ObservedGroup, Verificatio
 BESIDE = 1.7  # distance up to which two samples are beside each other, in spacings of the samples
 BEFORE = 1.2  # distance in the image up to which a point is before a sample, in spacings of the samples
 OFF = 1.5  # distance from the model from which a point is not on it, in spacings of the samples
+NOISE = 3.0  # deviation of a measured depth that noise explains, in standard deviations of the frame's depth
 DEEPEST = 0.3  # distance before the surface up to which a point may belong to the same part, as a share of d_max
 
 
@@ -52,19 +53,20 @@ def find_mismatch(
     Note:
         Takes about a millisecond.
     """
+    tolerance = max(surface_tolerance(surface.d_max, config), NOISE * group.noise)
     return Mismatch(
-        patch=_largest_patch(T_cam_part, surface, group.frame, config),
-        stray=_stray_share(T_cam_part, surface, group, config),
+        patch=_largest_patch(T_cam_part, surface, group.frame, tolerance, config.window),
+        stray=_stray_share(T_cam_part, surface, group, tolerance),
     )
 
 
-def _largest_patch(T_cam_part: Floats, surface: SurfaceModel, frame: Frame, config: VerificationConfig) -> int:
+def _largest_patch(T_cam_part: Floats, surface: SurfaceModel, frame: Frame, tolerance: float, window: int) -> int:
     """Return the number of connected samples that are visible in the pose, but lie before everything measured there."""
     visible = surface.visible(T_cam_part)
     gaps = _refine_kernels.surface_gaps(
-        T_cam_part, surface.points, surface.normals, visible, frame.depth, frame.K, config.window
+        T_cam_part, surface.points, surface.normals, visible, frame.depth, frame.K, window
     )
-    points = surface.points[np.nan_to_num(gaps, nan=-np.inf) > surface_tolerance(surface.d_max, config)]
+    points = surface.points[np.nan_to_num(gaps, nan=-np.inf) > tolerance]
     if len(points) < 2:
         return len(points)
     pairs = cKDTree(points).query_pairs(BESIDE * surface.spacing, output_type="ndarray")
@@ -72,7 +74,7 @@ def _largest_patch(T_cam_part: Floats, surface: SurfaceModel, frame: Frame, conf
     return int(np.bincount(connected_components(graph, directed=False)[1]).max())
 
 
-def _stray_share(T_cam_part: Floats, surface: SurfaceModel, group: ObservedGroup, config: VerificationConfig) -> float:
+def _stray_share(T_cam_part: Floats, surface: SurfaceModel, group: ObservedGroup, tolerance: float) -> float:
     """Return the share of the group's points that are seen before the part's visible surface, but off the part."""
     samples_cam = transform_points(T_cam_part, surface.points)
     visible = surface.visible(T_cam_part) & (samples_cam[:, 2] > 0)
@@ -87,7 +89,7 @@ def _stray_share(T_cam_part: Floats, surface: SurfaceModel, group: ObservedGroup
     )
     over &= (height > 0) & (height < DEEPEST * surface.d_max)
     distance, _ = cKDTree(samples_cam).query(points_cam)
-    foreign = distance > max(2 * surface_tolerance(surface.d_max, config), OFF * surface.spacing)
+    foreign = distance > max(2 * tolerance, OFF * surface.spacing)
     # As many points beside the part tell that the group holds another part, which may lie across this one.
     excess = int(np.count_nonzero(foreign & over)) - int(np.count_nonzero(foreign & ~over))
     return max(excess, 0) / len(points_cam)

@@ -1,5 +1,7 @@
 """A part whose rib is on the other side: its pose fits nearly everywhere but at the ribs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -85,6 +87,18 @@ def test_a_rib_that_the_scene_lacks_is_a_patch_that_was_seen_through() -> None:
     same = find_mismatch(T, surface, observed(scene_of(MODEL, T)), CONFIG)
     assert same.patch <= 1
     assert same.stray == 0
+
+
+@pytest.mark.parametrize(
+    ("noise", "patch", "stray"), [(0.0, True, True), (0.001, True, True), (0.002, True, False), (0.004, False, False)]
+)
+def test_what_the_noise_of_the_depth_explains_is_no_mismatch(noise: float, patch: bool, stray: bool) -> None:
+    """The rib is 10 mm high: a gap counts beyond 3 standard deviations of the depth, a boundary point beyond 6."""
+    T = at.pose_of(MIRRORED, TOP)
+    group = replace(observed(scene_of(MIRRORED, T)), noise=noise)
+    found = find_mismatch(T, surface_model(MODEL), group, CONFIG)
+    assert (found.patch > 10) == patch
+    assert (found.stray > 0.1) == stray
 
 
 def test_what_covers_the_part_is_no_patch() -> None:
