@@ -1,6 +1,7 @@
 """Bins worked out by hand: boxes in the bin's frame, met by the rays of a pinhole."""
 
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
@@ -11,7 +12,8 @@ SIZE = (640, 480)
 K = camera_matrix(850.0, *SIZE)
 INNER = np.array([0.36, 0.26, 0.12])
 WALL = 0.015  # thickness of walls and floor [m]
-Box = tuple[tuple[float, float, float], tuple[float, float, float]]  # lowest and highest corner, bin frame [m]
+Corner = tuple[float, float, float]
+Box = tuple[Corner, Corner]  # lowest and highest corner, bin frame [m]
 TABLE: Box = ((-2.0, -2.0, -0.1), (2.0, 2.0, -WALL))
 FLOOR: Box = ((-2.0, -2.0, -0.1), (2.0, 2.0, 0.0))
 
@@ -58,22 +60,37 @@ class View:
         rays, eye = rays @ T_bin_cam[:3, :3].T, T_bin_cam[:3, 3]
         depth, cosine = np.full(u.shape, np.inf), np.ones(u.shape)
         for low, high in boxes:
+            part = self.window(T_bin_cam, low, high)
+            some = rays[part]
             with np.errstate(divide="ignore"):
-                a, b = (np.array(low) - eye) / rays, (np.array(high) - eye) / rays
+                a, b = (np.array(low) - eye) / some, (np.array(high) - eye) / some
             entered = np.minimum(a, b)
             t, left = entered.max(axis=-1), np.maximum(a, b).min(axis=-1)
-            axis = entered.argmax(axis=-1)
-            nearer = (t <= left) & (t > 0) & (t < depth)
-            along = np.take_along_axis(np.abs(rays), axis[..., None], -1)[..., 0] / np.linalg.norm(rays, axis=-1)
-            depth[nearer], cosine[nearer] = t[nearer], along[nearer]
+            nearer = (t <= left) & (t > 0) & (t < depth[part])
+            met, axis = some[nearer], entered[nearer].argmax(axis=-1)
+            depth[part][nearer] = t[nearer]
+            cosine[part][nearer] = np.abs(met[np.arange(len(met)), axis]) / np.linalg.norm(met, axis=-1)
         depth += self.noise * np.random.default_rng(seed).normal(size=depth.shape)
         depth[np.isinf(depth) | (cosine < np.cos(self.steepest))] = 0.0
         grey = np.full(depth.shape, 90, np.uint8)
         return Frame(grey=grey, depth=depth.astype(np.float32), K=self.K, T_world_cam=self.T_world_cam)
 
+    def window(self, T_bin_cam: Floats, low: Corner, high: Corner) -> tuple[slice, slice]:
+        """Return the rows and columns of the image within which a box is seen: all where it reaches behind the lens."""
+        corners = np.array(list(product(*zip(low, high, strict=True)))) - T_bin_cam[:3, 3]
+        x, y, z = T_bin_cam[:3, :3].T @ corners.T
+        if z.min() < 0.01:
+            return slice(None), slice(None)
+        u, v = self.K[0, 0] * x / z + self.K[0, 2], self.K[1, 1] * y / z + self.K[1, 2]
+        return _within(v), _within(u)
+
     def off(self, frame: Frame, T_cam_other: Floats) -> Frame:
         """Return the frame of a camera that is believed to be elsewhere."""
         return replace(frame, T_world_cam=self.T_world_cam @ T_cam_other)
+
+
+def _within(pixels: Floats) -> slice:
+    return slice(*np.clip([np.floor(pixels.min()) - 1, np.ceil(pixels.max()) + 2], 0, None).astype(int).tolist())
 
 
 def view(yaw: float = 0.2, tilt: float = 0.05, distance: float = 0.75, **changes: object) -> View:
