@@ -1,9 +1,12 @@
 """Cells whose parts are laid by hand, one of each kind for all tests of a file."""
 
+from functools import partial
+
 import pytest
 
 pytest.register_assert_rewrite("tests.policies.hand_cell")
 
+from policies.grasping import grasps  # noqa: E402
 from tests.policies.hand_cell import SMALL_BIN, HandCell, hand_cell  # noqa: E402
 from tests.shared_models import share_models  # noqa: E402
 
@@ -26,3 +29,10 @@ def lids() -> HandCell:
 @pytest.fixture(scope="module")
 def wheels() -> HandCell:
     return hand_cell("part_a")
+
+
+@pytest.fixture
+def coarse_grasps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sample the grasps of a part of one's own coarsely, where it matters only that there are some."""
+    coarse = partial(grasps.sample_grasps, settings=grasps.GraspSettings(samples=20, turns=4))
+    monkeypatch.setattr(grasps, "sample_grasps", coarse)

@@ -1,7 +1,6 @@
 """Generated parts: clean solids of the promised size, the same bits each time, with convex pieces that cover them."""
 
 import hashlib
-import time
 
 import numpy as np
 import pytest
@@ -123,16 +122,12 @@ def test_declared_symmetry_is_all_that_is_detected(family: str, parts: list[Part
         assert min(model.symmetry.distance(np.eye(3), rotation), np.pi) < 0.05
 
 
-def test_the_generator_gives_the_parts_of_its_version_each_within_half_a_second() -> None:
+def test_the_generator_gives_the_parts_of_its_version() -> None:
     """Golden: one part of each family, to five digits. Where this fails on purpose, raise `VERSION` and renew it."""
-    lines, taken = [], []
+    lines = []
     for family in FAMILIES:
-        start = time.perf_counter()
         design = generated_design(parse_name(f"generated:{family}:0"))
-        taken.append(time.perf_counter() - start)
         mesh, order = design.mesh, design.symmetry.order
         lines.append(f"{family} {mesh.volume:.4e} {mesh.area:.4e} {design.density:g} {order}")
     digest = hashlib.sha256("\n".join(lines).encode()).hexdigest()
     assert (VERSION, digest[:16]) == (1, "2518360dc2cd3032")
-    assert np.median(taken) < 0.2
-    assert max(taken) < 2.0  # 0.06 s here; a busy machine takes longer

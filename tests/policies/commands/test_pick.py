@@ -164,6 +164,7 @@ def test_a_budget_picks_the_same_bins_three_ways(tmp_path: Path, monkeypatch: py
     assert (tmp_path / "out" / "gt_masks" / "bin_0000.json").stat().st_mtime_ns == made
 
 
+@pytest.mark.usefixtures("coarse_grasps")
 def test_a_part_without_weights_gets_the_commands_that_make_them_and_the_other_modes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

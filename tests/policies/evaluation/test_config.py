@@ -84,6 +84,7 @@ def test_the_digest_sees_the_part_files_contents(tmp_path: Path) -> None:
     assert config.digest() != one
 
 
+@pytest.mark.usefixtures("coarse_grasps")
 def test_impossible_settings_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="seed must not be negative, got -1"):
         EvaluationConfig(seed=-1)
