@@ -23,6 +23,7 @@ FAST = PieceSettings(iterations=10, resolution=200)
 def test_coacd_cuts_an_ell_in_two_and_repeats_itself(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(pieces, "decompose", decompose)
     mesh = ell()
     first = convex_pieces(mesh)
     monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "another"))
