@@ -1,6 +1,7 @@
 """Bins worked out by hand: boxes in the bin's frame, met by the rays of a pinhole."""
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -52,28 +53,11 @@ class View:
     K: Floats = field(default_factory=lambda: K)
 
     def see(self, boxes: list[Box], seed: int = 0) -> Frame:
-        """Return what the camera measures of boxes; its pose is the true one."""
-        width, height = self.size
-        v, u = np.mgrid[:height, :width]
-        rays = np.stack([(u - self.K[0, 2]) / self.K[0, 0], (v - self.K[1, 2]) / self.K[1, 1], np.ones(u.shape)], -1)
-        T_bin_cam = invert_transform(self.T_world_bin) @ self.T_world_cam
-        rays, eye = rays @ T_bin_cam[:3, :3].T, T_bin_cam[:3, 3]
-        depth, cosine = np.full(u.shape, np.inf), np.ones(u.shape)
-        for low, high in boxes:
-            part = self.window(T_bin_cam, low, high)
-            some = rays[part]
-            with np.errstate(divide="ignore"):
-                a, b = (np.array(low) - eye) / some, (np.array(high) - eye) / some
-            entered = np.minimum(a, b)
-            t, left = entered.max(axis=-1), np.maximum(a, b).min(axis=-1)
-            nearer = (t <= left) & (t > 0) & (t < depth[part])
-            met, axis = some[nearer], entered[nearer].argmax(axis=-1)
-            depth[part][nearer] = t[nearer]
-            cosine[part][nearer] = np.abs(met[np.arange(len(met)), axis]) / np.linalg.norm(met, axis=-1)
-        depth += self.noise * np.random.default_rng(seed).normal(size=depth.shape)
-        depth[np.isinf(depth) | (cosine < np.cos(self.steepest))] = 0.0
-        grey = np.full(depth.shape, 90, np.uint8)
-        return Frame(grey=grey, depth=depth.astype(np.float32), K=self.K, T_world_cam=self.T_world_cam)
+        """Return what the camera measures of boxes; its pose is the true one.
+
+        Equal calls return the same frame, which callers must not change.
+        """
+        return _seen(self, tuple(boxes), seed)
 
     def window(self, T_bin_cam: Floats, low: Corner, high: Corner) -> tuple[slice, slice]:
         """Return the rows and columns of the image within which a box is seen: all where it reaches behind the lens."""
@@ -87,6 +71,31 @@ class View:
     def off(self, frame: Frame, T_cam_other: Floats) -> Frame:
         """Return the frame of a camera that is believed to be elsewhere."""
         return replace(frame, T_world_cam=self.T_world_cam @ T_cam_other)
+
+
+@lru_cache
+def _seen(view: View, boxes: tuple[Box, ...], seed: int) -> Frame:
+    width, height = view.size
+    v, u = np.mgrid[:height, :width]
+    rays = np.stack([(u - view.K[0, 2]) / view.K[0, 0], (v - view.K[1, 2]) / view.K[1, 1], np.ones(u.shape)], -1)
+    T_bin_cam = invert_transform(view.T_world_bin) @ view.T_world_cam
+    rays, eye = rays @ T_bin_cam[:3, :3].T, T_bin_cam[:3, 3]
+    depth, cosine = np.full(u.shape, np.inf), np.ones(u.shape)
+    for low, high in boxes:
+        part = view.window(T_bin_cam, low, high)
+        some = rays[part]
+        with np.errstate(divide="ignore"):
+            a, b = (np.array(low) - eye) / some, (np.array(high) - eye) / some
+        entered = np.minimum(a, b)
+        t, left = entered.max(axis=-1), np.maximum(a, b).min(axis=-1)
+        nearer = (t <= left) & (t > 0) & (t < depth[part])
+        met, axis = some[nearer], entered[nearer].argmax(axis=-1)
+        depth[part][nearer] = t[nearer]
+        cosine[part][nearer] = np.abs(met[np.arange(len(met)), axis]) / np.linalg.norm(met, axis=-1)
+    depth += view.noise * np.random.default_rng(seed).normal(size=depth.shape)
+    depth[np.isinf(depth) | (cosine < np.cos(view.steepest))] = 0.0
+    grey = np.full(depth.shape, 90, np.uint8)
+    return Frame(grey=grey, depth=depth.astype(np.float32), K=view.K, T_world_cam=view.T_world_cam)
 
 
 def _within(pixels: Floats) -> slice:
