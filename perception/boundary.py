@@ -157,7 +157,8 @@ def extract_boundary(frame: Frame, workspace: Workspace, settings: BoundarySetti
     pixels = np.column_stack([flat % size[0], flat // size[0]])
     points_world = transform_points(frame.T_world_cam, organised_points(frame, pixels))
     # Parts may seem to lie in a floor or a wall whose place is uncertain.
-    end = workspace.T_world_bin[:3, 3] + workspace.T_world_bin[:3, 0] * workspace.inner_size[0] / 2
+    longer = int(np.argmax(workspace.inner_size[:2]))
+    end = workspace.T_world_bin[:3, 3] + workspace.T_world_bin[:3, longer] * workspace.inner_size[longer] / 2
     uncertain = UNCERTAIN * max(workspace.std_at(end) - COVERED, 0.0)
     floor = (settings.margin if settings.floor is None else settings.floor) - uncertain
     inside = workspace.contains(

@@ -17,6 +17,7 @@ from perception.runtime.files import write_atomically
 
 TEXTS = (".xyz", ".txt", ".csv", ".asc", ".pts")  # suffixes of text files
 LEAST = 3  # number of points of the smallest cloud
+_LARGEST = 2**31 - 1  # label
 _log = logging.getLogger(__name__)
 
 
@@ -62,7 +63,8 @@ def read_points(path: Path) -> LabelledPoints:
     Text has a point in each line, ``x y z``, ``x y z label`` or ``x y z score label``, separated by spaces, tabs,
     commas or semicolons. Labels count from 0, and negative ones stand for no part. Of lines of six or more numbers,
     such as colours or normals, the first three are read. Empty lines, comments (``#`` and ``//``) and a line of names
-    at the top are skipped. So is a first line with one number, the number of points, which PTS files have.
+    at the top are skipped. So is a first line with one number, the number of points, which PTS files have: the
+    fourth of four numbers is then an intensity, and no label.
 
     Args:
         path: PLY or PCD file, or text.
@@ -119,6 +121,10 @@ def _text(path: Path) -> LabelledPoints:
             continue
         if len(row) == 1 and not rows and counted is None:
             counted = row[0]
+            if not (counted >= 0 and counted == np.floor(counted) < np.inf):
+                raise ValueError(
+                    f"line {number} of {path.name} must be the number of points, got {line.strip()[:60]!r}"
+                )
             continue
         if rows and len(row) != len(rows[0]):
             raise ValueError(
@@ -133,12 +139,16 @@ def _text(path: Path) -> LabelledPoints:
         )
     if counted is not None and counted != len(rows):
         raise ValueError(f"{path.name} must hold {counted:g} points, as its first line says, got {len(rows)}")
-    if width not in (4, 5):
+    if counted is not None and width == 4:
+        _log.info(
+            "%s: the fourth number of each point is taken for an intensity, as its first line is a count", path.name
+        )
+    if width not in (4, 5) or (counted is not None and width == 4):
         return LabelledPoints(points=values[:, :3])
     labels = values[:, -1]
-    if not np.array_equal(labels, np.round(labels)):
+    if not np.array_equal(labels, np.round(labels)) or np.abs(labels).max(initial=0) > _LARGEST:
         raise ValueError(
             f"the last of {width} numbers in the lines of {path.name} is the label and must be whole, got "
-            f"{labels[labels != np.round(labels)][0]}: leave other values out"
+            f"{labels[(labels != np.round(labels)) | (np.abs(labels) > _LARGEST)][0]}: leave other values out"
         )
     return LabelledPoints(points=values[:, :3], labels=np.maximum(labels, -1).astype(np.int64))

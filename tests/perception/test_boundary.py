@@ -237,6 +237,19 @@ def test_parts_on_a_floor_whose_height_is_uncertain_are_kept(std: float, kept: b
     assert (len(extract_boundary(frame, tilted)) > 0) == kept
 
 
+def test_a_bin_keeps_the_same_points_whichever_side_is_called_its_length() -> None:
+    frame, workspace = seen(flat(0.05, 0.02, 0.002, (0.06, 0.04)), yaw=0.4, turn=TILTED)
+    uncertain = replace(workspace, rotation_std=0.0022 / (INNER[0] / 2))
+    turned = replace(
+        uncertain,
+        T_world_bin=uncertain.T_world_bin @ make_transform(rotation_about((0, 0, 1), np.pi / 2)),
+        inner_size=uncertain.inner_size[[1, 0, 2]],
+    )
+    points = extract_boundary(frame, uncertain).points_cam
+    assert len(points) > 0
+    np.testing.assert_array_equal(extract_boundary(frame, turned).points_cam, points)
+
+
 @pytest.mark.parametrize(("std", "kept"), [(0.0005, False), (0.003, True)])
 def test_parts_at_a_wall_whose_place_is_uncertain_are_kept(std: float, kept: bool) -> None:
     """The long side of the plate lies 2 mm from a wall."""

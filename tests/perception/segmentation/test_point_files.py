@@ -39,6 +39,16 @@ def test_the_first_line_of_a_pts_file_is_the_number_of_points(tmp_path: Path) ->
     np.testing.assert_array_equal(found.points, POINTS)
 
 
+def test_behind_a_number_of_points_the_fourth_number_is_an_intensity(tmp_path: Path) -> None:
+    lines = [" ".join(map(str, [*point, intensity])) for point, intensity in zip(POINTS, (-3, 0, 7, 7), strict=True)]
+    found = read_points(written(tmp_path / "scan.pts", "\n".join(["4", *lines])))
+    np.testing.assert_array_equal(found.points, POINTS)
+    assert found.labels is None
+    labelled = read_points(written(tmp_path / "labelled.pts", "\n".join(lines)))
+    assert labelled.labels is not None
+    assert labelled.labels.tolist() == [-1, 0, 7, 7]
+
+
 def test_a_byte_order_mark_costs_no_point(tmp_path: Path) -> None:
     (tmp_path / "cloud.csv").write_text("\n".join(",".join(map(str, p)) for p in POINTS), encoding="utf-8-sig")
     np.testing.assert_array_equal(read_points(tmp_path / "cloud.csv").points, POINTS)
@@ -86,6 +96,10 @@ def test_the_truth_counts_every_labelled_part() -> None:
         ("cloud.pts", "4\n" + "1 2 3\n" * 3, "cloud.pts must hold 4 points, as its first line says, got 3"),
         ("cloud.xyz", "1 2\n1 3\n", "lines of cloud.xyz must be x y z, x y z label .* got 2 numbers"),
         ("cloud.xyz", "1 2 3 0.5\n" * 3, "is the label and must be whole, got 0.5"),
+        ("cloud.xyz", "1 2 3 1e30\n" * 3, r"is the label and must be whole, got 1e\+30"),
+        ("cloud.pts", "-4\n" + "1 2 3\n" * 4, "line 1 of cloud.pts must be the number of points, got '-4'"),
+        ("cloud.pts", "nan\n" + "1 2 3\n" * 4, "line 1 of cloud.pts must be the number of points, got 'nan'"),
+        ("cloud.pts", "3.5\n" + "1 2 3\n" * 4, "line 1 of cloud.pts must be the number of points, got '3.5'"),
     ],
 )
 def test_what_is_no_cloud_is_refused(tmp_path: Path, name: str, text: str, error: str) -> None:
