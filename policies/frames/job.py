@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 from binpick_env.jobs.folder_config import ensure_same_config
 from perception.capture import ReadOptions, ReadReport, read_frame_with_report
 from perception.frame import Frame
@@ -164,12 +166,13 @@ def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver, finder: Gra
         frame, reading = job.source.read(path)
         seen = perceiver.perceive(frame)
         grasps = None if finder is None else _grasps(frame, seen, finder)
-    except (ValueError, OSError, ModuleNotFoundError) as error:  # the last: a missing extra
+        record = FrameRecord(path=path, frame=frame, reading=reading, seen=seen, perceiver=perceiver, grasps=grasps)
+        pictures = job.pictures(path)
+        picture = draw_poses(record) if pictures else None
+    # One frame's failure must not lose the others. ModuleNotFoundError: a missing extra.
+    except (ValueError, ArithmeticError, OSError, ModuleNotFoundError, cv2.error) as error:
         return FrameOutcome(path=path, values=None, lines=(str(error),))
-    record = FrameRecord(path=path, frame=frame, reading=reading, seen=seen, perceiver=perceiver, grasps=grasps)
-    pictures = job.pictures(path)
-    if pictures:
-        picture = draw_poses(record)
+    if picture is not None:
         for file in pictures:
             save_picture(picture, file)
     outcome = FrameOutcome(path=path, values=record.values(), lines=tuple(frame_lines(record)), record=record)

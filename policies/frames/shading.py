@@ -36,8 +36,10 @@ def shade_depth(depth: NDArray[np.float32], K: Floats) -> NDArray[np.uint8]:
     if not valid.any() or min(depth.shape) < 2:
         return np.zeros(depth.shape, np.uint8)
     # Smoothing by s pixels leaves a slope noise of 0.2 sigma_z / s^2 per pixel: 22 fx sigma_z / (z s^2) grey levels.
-    noise = depth_noise(depth[::_ROWS]) * float(np.median(depth[::_ROWS][valid[::_ROWS]]))
-    smoothing = float(np.clip(np.sqrt(22 * K[0, 0] * noise / GRAIN), *SMOOTHING))
+    with np.errstate(all="ignore"):  # squares of absurd depths underflow or overflow
+        noise = depth_noise(depth[::_ROWS]) * float(np.median(depth[valid]))
+        wanted = float(np.sqrt(22 * K[0, 0] * noise / GRAIN))
+    smoothing = float(np.clip(wanted, *SMOOTHING)) if np.isfinite(wanted) else SMOOTHING[0]
     return _shade(np.asarray(cv2.GaussianBlur(fill_from_nearest(depth, valid), (0, 0), smoothing)), K)
 
 

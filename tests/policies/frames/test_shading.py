@@ -38,6 +38,17 @@ def test_without_depth_there_is_nothing_to_shade(shape: tuple[int, int]) -> None
     assert not shade_depth(np.zeros(shape, np.float32), K).any()
 
 
+@pytest.mark.parametrize("shape", [(80, 96), (3, 2)])
+def test_depth_between_the_rows_that_tell_the_noise_is_shaded(shape: tuple[int, int]) -> None:
+    depth = np.zeros(shape, np.float32)
+    depth[1::4] = 0.9
+    assert shade_depth(depth, K).min() > 150  # a plane
+
+
+def test_absurdly_small_depths_are_shaded() -> None:
+    assert shade_depth(np.full((80, 96), 1e-30, np.float32), K).shape == (80, 96)
+
+
 def test_creases_are_shaded_as_their_normals_say() -> None:
     # A roof: the left half faces left by 30 degrees, the right half right; their rays meet planes x tan + z = const.
     u = np.broadcast_to(np.arange(96.0), (80, 96))
