@@ -1,12 +1,13 @@
 """From a cloud to the depth and grey image of a pinhole camera."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from perception.capture.calibration import Calibration
 from perception.capture.cloud import Cloud
+from perception.capture.images import FARTHEST
 from perception.capture.options import Axes
 from perception.capture.pinhole import fit_pinhole, require_pinhole, residual_of
 from perception.capture.projection import project_cloud
@@ -40,7 +41,7 @@ class CloudImages:
 def images_of_cloud(
     cloud: Cloud, calibration: Calibration | None, *, scale: float, axes: Axes, project: bool
 ) -> CloudImages:
-    """Return the images that a pinhole camera takes of a cloud.
+    """Return the images that a pinhole camera takes of a cloud. Coordinates of at least `FARTHEST` are no measurements.
 
     Args:
         cloud: Points in the camera frame, or in the frame in which its viewpoint is the camera's pose.
@@ -52,6 +53,9 @@ def images_of_cloud(
     Raises:
         ValueError: No pinhole camera explains an organised cloud, or no camera is stated for another one.
     """
+    far = (np.abs(cloud.points) >= FARTHEST / scale).any(axis=2)
+    if far.any():
+        cloud = replace(cloud, points=np.where(far[..., None], np.nan, cloud.points))
     points_cam, T_world_cam = _in_camera_frame(cloud, scale, axes)
     known = cloud.measured
     if project or not cloud.organised:

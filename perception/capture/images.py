@@ -1,5 +1,6 @@
 """Depth, grey and colour images from files."""
 
+import logging
 import os
 from pathlib import Path
 
@@ -10,6 +11,10 @@ from numpy.typing import NDArray
 EXR = "OPENCV_IO_ENABLE_OPENEXR"  # environment variable without which OpenCV reads no EXR
 FLOATING_SCALE = 1.0  # floating-point images are in metres unless stated otherwise [m]
 INTEGER_SCALE = 0.001  # integer images are in millimetres unless stated otherwise [m]
+# Depth from which on a value stands for "no measurement", as the largest ones of 32-bit integers and floating point do
+# [m]. Micrometres that are taken as metres stay below it, so that the wrong unit can be told.
+FARTHEST = 1e6
+_log = logging.getLogger(__name__)
 
 
 def read_raw(path: Path) -> NDArray[np.generic]:
@@ -52,7 +57,8 @@ def metres(
     Args:
         raw: (H, W) depth as stored, 16-bit or larger integers or floating point.
         scale: Length of one unit [m]; None for millimetres in integers and metres in floating point.
-        missing: Stored values that mean "no measurement"; NaN, infinities and negative values always do.
+        missing: Stored values that mean "no measurement"; NaN, infinities, negative values and depths of at least
+            `FARTHEST` always do.
         name: Name of the image, for messages.
 
     Raises:
@@ -75,7 +81,16 @@ def metres(
     if raw.dtype.kind == "f":
         values = values.astype(raw.dtype)  # as the file rounds them
     absent = ~np.isfinite(stored) | (stored <= 0) | np.isin(raw, values)
-    return np.where(absent, 0.0, stored * scale).astype(np.float32)
+    far = ~absent & (stored >= FARTHEST / scale)
+    if far.any() and (far | absent).all():
+        _log.warning(
+            "%s: all depths are %.0e m or more and count as missing: is scale right (0.001 for millimetres)? It is "
+            "--depth-scale on the command line",
+            name,
+            FARTHEST,
+        )
+    absent |= far
+    return (np.where(absent, 0.0, stored) * scale).astype(np.float32)
 
 
 def grey_image(raw: NDArray[np.generic], name: str = "the grey image") -> NDArray[np.uint8]:

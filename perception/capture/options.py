@@ -17,8 +17,8 @@ class ReadOptions:
     # Length of one unit of depth or of a cloud's coordinates [m]. None: as the calibration says, otherwise millimetres
     # in integer images and metres in floating-point images and clouds.
     scale: float | None = None
-    # Stored depths that mean "no measurement", besides NaN, infinities and negative values. None: 0, and 65535 in
-    # integers.
+    # Stored depths that mean "no measurement", besides NaN, infinities, negative values and depths over 1000 km, which
+    # always do. None: 0, and 65535 in integers.
     missing: tuple[float, ...] | None = None
     fit: Literal["same", "scale"] = (
         "same"  # how the image's size relates to the calibrated one: equal, or scaled as a whole

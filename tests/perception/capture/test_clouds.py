@@ -27,6 +27,17 @@ def test_k_is_recovered_from_a_cloud() -> None:
     require_pinhole(fit)
 
 
+def test_points_that_no_camera_has_are_missing() -> None:
+    points = scene_points().astype(np.float64)
+    clean, dirty = points.copy(), points.copy()
+    clean[2, 3], dirty[2, 3] = np.nan, np.finfo(np.float32).max
+    for changes in ({}, {"project": True, "calibration": Calibration(K=K, size=(WIDTH, HEIGHT))}):
+        wanted, got = (images(Cloud(points=each), **changes) for each in (clean, dirty))
+        np.testing.assert_array_equal(got.depth, wanted.depth)
+        np.testing.assert_array_equal(got.K, wanted.K)
+        assert got.unseen == wanted.unseen
+
+
 def test_the_residual_is_the_noise_of_the_projections() -> None:
     rng = np.random.default_rng(0)
     u, v = np.meshgrid(np.arange(60.0), np.arange(50.0))

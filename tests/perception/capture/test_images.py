@@ -46,6 +46,24 @@ def test_floating_point_is_in_metres_and_its_oddities_are_missing() -> None:
     np.testing.assert_array_equal(metres(raw[..., None], 0.5, ())[0, 5:], np.array([0.35, 5], np.float32))
 
 
+@pytest.mark.parametrize("largest", [np.finfo(np.float64).max, np.finfo(np.float32).max, 1e30, 1e6])
+def test_depths_that_no_camera_has_are_missing(largest: float) -> None:
+    np.testing.assert_array_equal(metres(np.array([[largest, 0.7]]), None, (0,)), np.array([[0, 0.7]], np.float32))
+    single = np.array([[min(largest, np.finfo(np.float32).max), 700]], np.float32)
+    np.testing.assert_array_equal(metres(single, 1.0, (0,)), np.array([[0, 700]], np.float32))  # millimetres as metres
+    integers = np.array([[2**32 - 1, 700]], np.uint32)
+    np.testing.assert_array_equal(metres(integers, None, (0,)), np.array([[0, 0.7]], np.float32))
+
+
+def test_depths_that_are_all_too_far_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    assert not metres(np.array([[900, 1200, 0]], np.uint16), 1e4, (0,)).any()
+    assert "all depths are 1e+06 m or more and count as missing: is scale right" in caplog.text
+    caplog.clear()
+    metres(np.zeros((1, 2)), None, (0,))
+    metres(np.array([[1e30, 0.7]]), None, (0,))
+    assert not caplog.text
+
+
 @pytest.mark.parametrize(
     ("raw", "text"),
     [
