@@ -19,6 +19,8 @@ from perception.capture.ply import read_ply
 POINT_KEYS = ("points", "xyz", "points_cam", "cloud")  # names of an organised cloud in an NPZ file
 GREY_KEYS = ("grey", "gray", "image", "color", "colour", "rgb")  # names of a grey or colour image in an NPZ file
 
+TABLE_COLUMNS = (3, 4, 6)  # columns of a table of points: x, y and z, perhaps with an intensity, or a colour or normal
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Content:
@@ -72,7 +74,20 @@ def _decoded(path: Path, suffix: str) -> Content:
         return Content(cloud=Cloud(points=points))
     if raw.ndim == 2 and raw.shape[1] == 3 and raw.dtype.kind == "f":  # no depth image has three columns
         return Content(cloud=Cloud(points=raw.astype(np.float64)[None]))
+    if suffix == ".npy":
+        _require_no_table(raw, path.name)
     return Content(depth=raw)
+
+
+def _require_no_table(raw: NDArray[np.generic], name: str) -> None:
+    """Raise ``ValueError`` if an array is a table of points rather than an image: no depth image is so narrow."""
+    columns = raw.shape[-1] if raw.ndim == 2 or (raw.ndim == 3 and raw.shape[1] == 1) else 0
+    if columns in TABLE_COLUMNS and len(raw) > columns:
+        raise ValueError(
+            f"{name} must be a depth image (H, W), or points (N, 3) or (H, W, 3) in floating point, got {raw.dtype} of "
+            f"shape {raw.shape}, which looks like a table of points: save x, y and z alone in floating-point metres, "
+            "or in floating point of another unit with scale (--depth-scale on the command line)"
+        )
 
 
 def _npz_content(path: Path) -> Content:

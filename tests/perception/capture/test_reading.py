@@ -185,6 +185,19 @@ def test_an_npy_file_of_n_by_3_points_is_a_cloud(tmp_path: Path) -> None:
     np.testing.assert_allclose(projected.depth, organised.depth, rtol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("shape", "dtype"),
+    [((48, 3), np.int64), ((48, 3), np.uint16), ((48, 4), np.float64), ((48, 6), np.float32), ((48, 1, 3), np.int32)],
+)
+def test_an_npy_file_of_another_table_of_points_is_refused_as_one(
+    tmp_path: Path, shape: tuple[int, ...], dtype: type
+) -> None:
+    np.save(tmp_path / "a.npy", np.full(shape, 900, dtype))
+    text = rf"a\.npy must be a depth image .* got {np.dtype(dtype)} of shape .* looks like a table of points: save x, y"
+    with pytest.raises(ValueError, match=text):
+        read_frame(tmp_path / "a.npy", calibration=K)
+
+
 def test_the_grey_image_of_a_projected_cloud_is_undistorted(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", scene_points())
     cv2.imwrite(str(tmp_path / "grey.png"), GREY)
