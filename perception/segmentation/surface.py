@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from perception.boundary import BoundarySettings
 from perception.frame import Frame, Workspace, bin_region
-from perception.geometry import require_shape
+from perception.geometry import NEAR, require_shape
 from perception.segmentation import _surface_kernels as _kernels
 
 CELLS_PER_D_MAX = 80  # cells per largest extent of the part; the network's cells, twice as large, are sampled from them
@@ -60,7 +60,7 @@ def coarse_surface(frame: Frame, workspace: Workspace, d_max: float) -> Surface:
     size = (frame.depth.shape[1], frame.depth.shape[0])
     u0, v0, u1, v1 = bin_region(workspace, frame.K, frame.T_world_cam, size, margin=0.0, headroom=HEADROOM).tolist()
     floor = workspace.T_world_bin[:3, 3]
-    distance = float(np.linalg.norm(floor - frame.T_world_cam[:3, 3]))
+    distance = max(float(np.linalg.norm(floor - frame.T_world_cam[:3, 3])), NEAR)
     cell = d_max / CELLS_PER_D_MAX * frame.K[0, 0] / distance
     if cell < 0.5:
         raise ValueError(

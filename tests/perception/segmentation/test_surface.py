@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from perception.geometry import invert_transform, make_transform, project_points, transform_points
+from perception.geometry import Floats, invert_transform, make_transform, project_points, transform_points
 from perception.segmentation import _surface_kernels as _kernels
 from perception.segmentation.surface import CELLS_PER_D_MAX, Surface, coarse_surface
 from tests.perception.flat_scene import FLOOR, INNER, SIZE, TILTED, K, bin_at, camera_over, flat, look
@@ -29,6 +29,14 @@ def test_in_a_small_image_a_cell_is_a_pixel_and_none_is_empty() -> None:
     surface = coarse_surface(look(WORKSPACE, STRAIGHT, FLOOR), WORKSPACE, 0.1)
     assert surface.cell == 1.0
     np.testing.assert_allclose(surface.depth, 0.9, atol=1e-6)
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), np.diag([1.0, -1, -1])])
+def test_a_bin_stated_at_the_camera_shows_nothing(turn: Floats) -> None:
+    frame = look(WORKSPACE, STRAIGHT, FLOOR)
+    T_world_bin = STRAIGHT @ make_transform(turn, (0, 0, 0))
+    depth = coarse_surface(frame, replace(WORKSPACE, T_world_bin=T_world_bin), D_MAX).depth
+    assert depth.size <= 1
 
 
 def test_the_cells_cover_the_bin() -> None:
