@@ -43,9 +43,9 @@ def _require_exr(path: Path) -> None:
     """Raise ``ValueError`` if this OpenCV reads no EXR."""
     if os.environ.get(EXR, "").lower() not in ("1", "true") or not cv2.haveImageWriter(path.name):
         raise ValueError(
-            f"{path.name} needs an OpenCV with OpenEXR and the environment variable {EXR}=1, set before Python starts; "
-            f"this is OpenCV {cv2.__version__} with {EXR}={os.environ.get(EXR)}: convert the image to a floating-point "
-            "TIFF or NPY, or install a build with OpenEXR"
+            f"{path.name} must be read by an OpenCV with OpenEXR, with the environment variable {EXR}=1 set before "
+            f"Python starts; this is OpenCV {cv2.__version__} with {EXR}={os.environ.get(EXR)}: convert the image to a "
+            "floating-point TIFF or NPY, or install a build with OpenEXR"
         )
 
 

@@ -99,9 +99,9 @@ def recording_content(
         if source.msgtype == _CLOUD:
             if grey_topic is not None:
                 raise ValueError(
-                    f"grey_topic needs a topic of depth images, got the clouds of {source.name}, whose grey is that of "
-                    "their points: leave grey_topic out, or name depth images by topic (--grey-topic and --topic on "
-                    "the command line)"
+                    f"grey_topic must come with a topic of depth images, got the clouds of {source.name}, whose grey "
+                    "is that of their points: leave grey_topic out, or name depth images by topic (--grey-topic and "
+                    "--topic on the command line)"
                 )
             return Content(cloud=cloud_of(message, source.name))
         depth = depth_of(message, source.name)

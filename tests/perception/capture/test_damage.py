@@ -1,5 +1,6 @@
 """Damaged files of every format are refused by name, whatever their decoder raises."""
 
+import ast
 import json
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+import perception.capture
 from perception.capture import read_calibration
 from perception.capture.content import load_content
 from perception.capture.damage import decoding
@@ -73,3 +75,17 @@ def test_what_the_system_says_is_passed_on(tmp_path: Path) -> None:
         raise KeyError(1)
     with pytest.raises(ValueError, match=r"^a\.xyz is bad$"), decoding(Path("a.xyz")):
         raise ValueError("a.xyz is bad")
+
+
+DECODERS = ("azure", "calibration_files", "content", "images", "pcd", "ply", "ply_header", "recordings", "ros_messages")
+
+
+@pytest.mark.parametrize("module", DECODERS)
+def test_refusals_of_decoders_say_what_must_be_and_so_are_not_reported_as_damage(module: str) -> None:
+    source = (Path(perception.capture.__file__).parent / f"{module}.py").read_text(encoding="utf-8")
+    raised = [each.exc for each in ast.walk(ast.parse(source)) if isinstance(each, ast.Raise) and each.exc]
+    texts = [ast.unparse(each) for each in raised]
+    refusals = [text for text in texts if text.startswith("ValueError")]
+    assert refusals
+    # A text that continues another error's has the other one's "must".
+    assert [text for text in refusals if " must " not in text and "{error}; " not in text] == []
