@@ -4,6 +4,7 @@ They need rosbags, which comes with the extra ``cameras``; it is imported only w
 """
 
 import importlib.util
+import logging
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from perception.capture.calibration import Calibration
 from perception.capture.content import Content
 from perception.capture.ros_messages import (
     DEPTH_ENCODINGS,
+    GREY_ENCODINGS,
     calibration_of_info,
     cloud_of,
     depth_of,
@@ -31,6 +33,7 @@ _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CLOUD, _INFO, _TEXT = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CameraInfo", "std_msgs/msg/String"
 _REALSENSE = re.compile(r"^/device_\d+/sensor_\d+/")  # topics of librealsense's own recordings
 _UNITS = re.compile(r"^/device_\d+/sensor_\d+/option/Depth[ _]Units/value$")
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,6 +52,7 @@ class _Registered:
 
     size: tuple[int, int]  # width and height [px]
     frame_id: str  # frame of reference
+    encoding: str  # encoding of the depth image; empty if it is compressed
     time: int  # time of the recording [ns]; the grey image's may differ
 
 
@@ -75,9 +79,9 @@ def recording_content(
 ) -> Content:
     """Read one frame of a recording.
 
-    The grey image is the nearest in time of a topic with uncompressed images of the same size and the same frame of
-    reference. Of recordings of librealsense none is taken unless it is named, since colour has a lens of its own and
-    infrared shows the projected pattern.
+    The grey image is the nearest in time of another topic with uncompressed images of the same size and the same frame
+    of reference; images of encodings that are not known are left out. Of recordings of librealsense none is taken
+    unless it is named, since colour has a lens of its own and infrared shows the projected pattern.
 
     Args:
         path: ROS 1 bag, ROS 2 bag (folder or .db3), MCAP file, or a recording of librealsense (.bag, .db3).
@@ -105,7 +109,12 @@ def recording_content(
                 )
             return Content(cloud=cloud_of(message, source.name))
         depth = depth_of(message, source.name)
-        frame = _Registered(size=(depth.shape[1], depth.shape[0]), frame_id=message.header.frame_id, time=time)
+        frame = _Registered(
+            size=(depth.shape[1], depth.shape[0]),
+            frame_id=message.header.frame_id,
+            encoding=getattr(message, "encoding", ""),
+            time=time,
+        )
         return Content(
             depth=depth,
             grey=_grey(reader, source, frame, grey_topic),
@@ -206,7 +215,10 @@ def _message(reader: Any, topic: _Topic, index: int, path: Path) -> tuple[Any, i
 
 
 def _grey(reader: Any, source: _Topic, depth: _Registered, topic: str | None) -> NDArray[np.uint8] | None:
-    """Return the registered grey image that is nearest in time; None if there is none."""
+    """Return the registered grey image that is nearest in time; None if there is none.
+
+    Images that cannot be read are left out, unless they are named.
+    """
     if topic is not None:
         images = [each for each in _topics(reader) if each.msgtype in _IMAGES]
         found = [each for each in images if each.name == topic]
@@ -218,13 +230,20 @@ def _grey(reader: Any, source: _Topic, depth: _Registered, topic: str | None) ->
         return None
     registered = []
     for each in _topics(reader):
-        if each.msgtype == _IMAGES[0] and each.count and not _holds_depth(reader, each):
+        if each.msgtype == _IMAGES[0] and each.count and each.name != source.name and not _holds_depth(reader, each):
             first = _first(reader, each)
             if (first.width, first.height) == depth.size and first.header.frame_id == depth.frame_id:
-                registered.append(each)
+                if first.encoding not in GREY_ENCODINGS:
+                    _log.info("%s is not taken as the grey image: its encoding is %s", each.name, first.encoding)
+                elif first.encoding != "mono16" or depth.encoding != "mono16":  # otherwise it may be depth, too
+                    registered.append(each)
     if len(registered) != 1:
         return None
-    return grey_of(_nearest(reader, registered[0], depth.time), registered[0].name)
+    try:
+        return grey_of(_nearest(reader, registered[0], depth.time), registered[0].name)
+    except ValueError as error:
+        _log.warning("there is no grey image: %s", error)
+        return None
 
 
 def _nearest(reader: Any, topic: _Topic, time: int) -> Any:

@@ -26,6 +26,7 @@ _COLOURS: dict[str, tuple[Any, int, int | None]] = {  # type, channels, and conv
     "bgra8": (np.uint8, 4, None),
     "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2BGRA),
 }
+GREY_ENCODINGS = frozenset(_COLOURS)  # encodings of grey and colour images
 # sensor_msgs/PointField's datatypes
 _FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _COMPRESSION_HEADER = 12  # bytes before the PNG of a compressedDepth message: its format and two parameters

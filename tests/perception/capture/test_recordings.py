@@ -98,6 +98,48 @@ def test_of_two_registered_images_none_is_taken(tmp_path: Path) -> None:
     assert read_frame_with_report(make.write(tmp_path / "one", entries[:-1]))[1].grey == "image"
 
 
+def test_a_depth_image_of_16_bits_is_not_its_own_grey_image(tmp_path: Path) -> None:
+    make = Messages("mcap")
+    entries = [
+        ("/d/image", 1, make.image(DEPTH_MM, "mono16")),
+        ("/d/camera_info", 1, make.info()),
+        ("/d/filtered", 1, make.image(DEPTH_MM, "mono16")),  # nothing says that it is no depth
+    ]
+    options = ReadOptions(topic="/d/image")
+    for count in (2, 3):
+        path = make.write(tmp_path / f"{count}", entries[:count])
+        assert read_frame_with_report(path, options=options)[1].grey == "none"
+    entries.append(("/ir/image", 1, make.image(GREY, "mono8")))
+    frame = read_frame(make.write(tmp_path / "grey", entries), options=options)
+    np.testing.assert_array_equal(frame.grey, GREY)
+
+
+def test_images_that_cannot_be_read_are_refused_only_where_they_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    make = Messages("mcap")
+    entries = [
+        ("/d/image", 1, make.image(DEPTH_MM, "16UC1")),
+        ("/d/camera_info", 1, make.info()),
+        ("/raw/image", 2, make.image(GREY, "bayer_rggb8")),
+        ("/ir/image", 2, make.image(GREY, "mono8")),
+    ]
+    for count, grey in ((3, "none"), (4, "image")):
+        path = make.write(tmp_path / f"{count}", entries[:count])
+        caplog.clear()
+        with caplog.at_level("INFO"):
+            assert read_frame_with_report(path)[1].grey == grey
+        assert "/raw/image is not taken as the grey image: its encoding is bayer_rggb8" in caplog.text
+        with pytest.raises(ValueError, match=r"/raw/image must have one of the .* mono8, .*, got 'bayer_rggb8'"):
+            read_frame(path, options=ReadOptions(grey_topic="/raw/image"))
+    entries[3][2].data = entries[3][2].data[:-10]
+    path = make.write(tmp_path / "short", entries)
+    assert read_frame_with_report(path)[1].grey == "none"
+    assert "there is no grey image: /ir/image must have 48 rows of at least 64 bytes" in caplog.text
+    with pytest.raises(ValueError, match="/ir/image must have 48 rows of at least 64 bytes"):
+        read_frame(path, options=ReadOptions(grey_topic="/ir/image"))
+
+
 def test_compressed_depth_has_the_registered_grey_image(tmp_path: Path) -> None:
     make = Messages("mcap")
     png = b"\0" * 12 + cv2.imencode(".png", DEPTH_MM)[1].tobytes()
@@ -145,7 +187,7 @@ def test_depth_images_are_preferred_to_the_cloud_of_the_same_camera(tmp_path: Pa
     cloud, report = read_frame_with_report(path, options=ReadOptions(topic="/d/points"))
     assert report.source == "organised cloud"
     np.testing.assert_allclose(cloud.depth, DEPTH_MM / 500, rtol=1e-6)
-    with pytest.raises(ValueError, match=r"^53: grey_topic must come with a topic of depth images, got .* of /d/points"):
+    with pytest.raises(ValueError, match=r"^53: grey_topic must come with a topic of depth .* of /d/points,"):
         read_frame(path, options=ReadOptions(topic="/d/points", grey_topic="/d/image"))
 
 
