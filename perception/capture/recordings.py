@@ -26,6 +26,7 @@ from perception.capture.ros_messages import (
     depth_of,
     grey_of,
     is_compressed_depth,
+    size_of_info,
 )
 
 SUFFIXES = (".bag", ".mcap", ".db3")  # recordings in one file; a folder with metadata.yaml is one, too
@@ -261,8 +262,11 @@ def _nearest(reader: Any, topic: _Topic, time: int) -> Any:
 def _calibration(reader: Any, source: _Topic, size: tuple[int, int]) -> Calibration | None:
     """Return the calibration of images of a size: that of the topic whose name begins most like theirs.
 
+    One of this size that cannot be used gives way only to one whose topic is as much like theirs: the others are those
+    of other cameras.
+
     Raises:
-        ValueError: It cannot be used; the message says that another one can take its place.
+        ValueError: None can be used; the message says that another one can take its place.
     """
     words = source.name.split("/")
     infos = [
@@ -272,16 +276,28 @@ def _calibration(reader: Any, source: _Topic, size: tuple[int, int]) -> Calibrat
     ]
     infos.sort(key=lambda each: (-_alike(words, each.name.split("/")), each.msgtype != _INFO, each.name))
     rectified = any("rect" in word for word in words)
+    least = 0  # words that a topic must have in common with the images'
+    refusal: ValueError | None = None
     for each in infos:
+        alike, message = _alike(words, each.name.split("/")), _first(reader, each)
+        if alike < least:
+            break
         try:
-            found = calibration_of_info(_first(reader, each), each.name, rectified=rectified)
+            found = calibration_of_info(message, each.name, rectified=rectified)
         except ValueError as error:
-            raise ValueError(
-                f"{error}; to use another calibration of these images, pass it by calibration= (--calibration on the "
-                "command line)"
-            ) from error
+            fits = size_of_info(message) in (None, size)
+            if refusal is None or (fits and not least):
+                refusal = error
+            if fits:
+                least = alike
+            continue
         if found.size in (None, size):
             return found
+    if refusal is not None:
+        raise ValueError(
+            f"{refusal}; to use another calibration of these images, pass it by calibration= (--calibration on the "
+            "command line)"
+        ) from refusal
     return None
 
 

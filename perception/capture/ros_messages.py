@@ -1,5 +1,6 @@
 """Images, clouds and calibrations from messages of ROS, of either version."""
 
+import re
 from typing import Any
 
 import cv2
@@ -124,6 +125,20 @@ def calibration_of_info(message: Any, topic: str, *, rectified: bool) -> Calibra
         },
         topic,
     )
+
+
+def size_of_info(message: Any) -> tuple[int, int] | None:
+    """Return the width and height of the images [px] that a CameraInfo or the text of librealsense is of.
+
+    They are those of the region of the sensor, divided by the binning. None stands for a size that is not stated.
+    """
+    if hasattr(message, "data"):
+        found = [re.search(rf"(?:^|;){side}=(\d+)", str(message.data)) for side in ("width", "height")]
+        width, height = (int(each[1]) if each else 0 for each in found)
+    else:
+        width = (message.roi.width or message.width) // max(message.binning_x, 1)
+        height = (message.roi.height or message.height) // max(message.binning_y, 1)
+    return (int(width), int(height)) if width and height else None
 
 
 def _array(message: Any, name: str) -> Floats:

@@ -53,7 +53,8 @@ class Messages:
         return types["sensor_msgs/msg/CameraInfo"](
             header=self.header(), height=size[1], width=size[0],
             distortion_model=changes.pop("distortion_model", "plumb_bob"),
-            binning_x=changes.pop("binning_x", 0), binning_y=0, roi=region, **dict(zip(names, arrays, strict=True)),
+            binning_x=changes.pop("binning_x", 0), binning_y=changes.pop("binning_y", 0), roi=region,
+            **dict(zip(names, arrays, strict=True)),
         )  # fmt: skip
 
     def text(self, text: str) -> Any:

@@ -88,4 +88,4 @@ def test_refusals_of_decoders_say_what_must_be_and_so_are_not_reported_as_damage
     refusals = [text for text in texts if text.startswith("ValueError")]
     assert refusals
     # A text that continues another error's has the other one's "must".
-    assert [text for text in refusals if " must " not in text and "{error}; " not in text] == []
+    assert [text for text in refusals if " must " not in text and "{refusal}; " not in text] == []

@@ -314,6 +314,26 @@ def test_calibrations_that_cannot_be_used_are_refused_unless_another_is_given(
     np.testing.assert_array_equal(read_frame(path, calibration=2 * K * [[1], [1], [0.5]]).K[:2], 2 * K[:2])
 
 
+def test_calibrations_of_another_size_do_not_stop_the_reading(tmp_path: Path) -> None:
+    make = Messages("mcap")
+    fisheye = {"distortion_model": "equidistant", "distortion": np.full(4, 0.1)}
+    image, large = make.image(DEPTH_MM, "16UC1"), make.info((128, 96), **fisheye)
+    fitting, binned = make.info(), make.info((128, 96), binning_x=2, binning_y=2)  # of 64 x 48 pixels
+    for name, infos in (
+        ("farther", {"/a/b/camera_info": large, "/a/camera_info": fitting}),
+        ("alike", {"/a/b/camera_info": binned, "/a/b/depth/camera_info": fitting}),
+    ):
+        entries = [("/a/b/d", 1, image), *((topic, 1, info) for topic, info in infos.items())]
+        np.testing.assert_array_equal(read_frame(make.write(tmp_path / name, entries)).K, K)
+    # Where the images' own calibration cannot be used, another camera's does not take its place.
+    for own in (binned, make.info(**fisheye)):
+        entries = [("/a/b/d", 1, image), ("/a/b/camera_info", 1, own), ("/a/c/camera_info", 1, fitting)]
+        with pytest.raises(ValueError, match=r"/a/b/camera_info.*pass it by calibration="):
+            read_frame(make.write(tmp_path / f"own {own.binning_x}", entries))
+    with pytest.raises(ValueError, match=r"/a/camera_info must have a lens model.*pass it by calibration="):
+        read_frame(make.write(tmp_path / "large", [("/a/d", 1, image), ("/a/camera_info", 1, large)]))
+
+
 def test_damaged_recordings_are_refused_by_name(tmp_path: Path) -> None:
     (path,) = bag(tmp_path, "mcap").glob("*.mcap")
     cut = tmp_path / "cut.mcap"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from perception.capture.ros_messages import calibration_of_info, grey_of
+from perception.capture.ros_messages import calibration_of_info, grey_of, size_of_info
 from tests.perception.capture.bags import Messages
 
 MAKE = Messages("mcap")
@@ -37,3 +37,13 @@ def test_encodings_that_are_not_known_are_refused() -> None:
         grey_of(MAKE.image(np.zeros((2, 3, 2), np.uint8), "yuv422"), "/c")
     with pytest.raises(ValueError, match="/c must hold JPEG or PNG images, got 'jpeg'"):
         grey_of(MAKE.compressed(b"nothing", "jpeg"), "/c")
+
+
+def test_the_size_of_a_calibration_is_that_of_its_images() -> None:
+    region = MAKE.info((128, 96), binning_x=2, binning_y=3)
+    region.roi.width, region.roi.height = 40, 60
+    assert size_of_info(region) == (20, 20)
+    assert size_of_info(MAKE.info((128, 96))) == (128, 96)
+    assert size_of_info(MAKE.info((0, 0))) is None
+    assert size_of_info(MAKE.text("binwidth=2;width=64;height=48;fx=60")) == (64, 48)
+    assert size_of_info(MAKE.text("fx=60")) is None
