@@ -141,7 +141,14 @@ def _recorded(path: Path, options: ReadOptions, *, calibrated: bool) -> Content:
     if not path.exists():
         raise FileNotFoundError(f"there is no recording {path}")
     with decoding(path):
-        return recording_content(path, options.index, options.topic, options.grey_topic, calibrated=calibrated)
+        return recording_content(
+            path,
+            options.index,
+            options.topic,
+            options.grey_topic,
+            calibrated=calibrated,
+            scaled=options.scale is None,
+        )
 
 
 def _calibration(

@@ -77,6 +77,7 @@ def recording_content(
     grey_topic: str | None = None,
     *,
     calibrated: bool = True,
+    scaled: bool = True,
 ) -> Content:
     """Read one frame of a recording.
 
@@ -92,6 +93,7 @@ def recording_content(
             one.
         calibrated: Whether to read the calibration of the depth images; False where another one is used, so that one
             that cannot be used is no error.
+        scaled: Whether to read the unit of the depth images; False where it is stated otherwise.
 
     Raises:
         ModuleNotFoundError: The extra ``cameras`` is not installed.
@@ -120,7 +122,7 @@ def recording_content(
             depth=depth,
             grey=_grey(reader, source, frame, grey_topic),
             calibration=_calibration(reader, source, frame.size) if calibrated else None,
-            depth_scale=_depth_scale(reader),
+            depth_scale=_depth_scale(reader, source) if scaled else None,
         )
 
 
@@ -311,9 +313,24 @@ def _alike(first: Iterable[str], second: Iterable[str]) -> int:
     return count
 
 
-def _depth_scale(reader: Any) -> float | None:
-    """Return the unit of depth that librealsense records [m]; None for other recordings, whose unit is ROS's."""
-    for each in _topics(reader):
-        if each.count and _UNITS.match(each.name):
-            return float(_first(reader, each).data)
-    return None
+def _depth_scale(reader: Any, source: _Topic) -> float | None:
+    """Return the unit of depth that librealsense records [m]; None for other recordings, whose unit is ROS's.
+
+    Of several sensors it is the unit of the one whose topics begin most like that of the depth images.
+
+    Raises:
+        ValueError: Several are as much like it, and differ.
+    """
+    words = source.name.split("/")
+    topics = [each for each in _topics(reader) if each.count and _UNITS.match(each.name)]
+    most = max((_alike(words, each.name.split("/")) for each in topics), default=0)
+    units = {
+        each.name: float(_first(reader, each).data) for each in topics if _alike(words, each.name.split("/")) == most
+    }
+    if len(set(units.values())) > 1:
+        found = ", ".join(f"{unit:g} m in {name}" for name, unit in units.items())
+        raise ValueError(
+            f"the recording must state one unit of the depth in {source.name}, got {found}: pass the right one by "
+            "scale= (--depth-scale on the command line)"
+        )
+    return next(iter(units.values()), None)

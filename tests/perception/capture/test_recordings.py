@@ -234,6 +234,23 @@ def test_recordings_of_librealsense_state_their_unit(old: bool, tmp_path: Path) 
     np.testing.assert_allclose(stated.depth, DEPTH_MM * 0.0005, rtol=1e-6)
 
 
+def test_of_several_sensors_the_unit_is_that_of_the_one_that_recorded_the_depth(tmp_path: Path) -> None:
+    make = Messages("mcap")
+    entries = [
+        ("/device_0/sensor_1/Depth_0/image/data", 1, make.image(DEPTH_MM, "mono16")),
+        ("/device_0/sensor_0/option/Depth_Units/value", 1, make.number(0.001)),
+        ("/device_0/sensor_1/option/Depth_Units/value", 1, make.number(0.00025)),
+    ]
+    path = make.write(tmp_path / "own", entries)
+    np.testing.assert_allclose(read_frame(path, calibration=K).depth, DEPTH_MM * 0.00025, rtol=1e-6)
+    entries[0] = ("/device_0/sensor_2/Depth_0/image/data", 1, entries[0][2])
+    path = make.write(tmp_path / "others", entries)
+    with pytest.raises(ValueError, match=r"one unit of the depth in .*/sensor_2/.* 0\.001 m in .*, 0\.00025 m in .* scale="):
+        read_frame(path, calibration=K)
+    stated = read_frame(path, calibration=K, options=ReadOptions(scale=0.0005))
+    np.testing.assert_allclose(stated.depth, DEPTH_MM * 0.0005, rtol=1e-6)
+
+
 def points_of(depth: np.ndarray) -> np.ndarray:
     v, u = np.indices(depth.shape)
     return np.dstack([(u - K[0, 2]) / K[0, 0] * depth, (v - K[1, 2]) / K[1, 1] * depth, depth])
