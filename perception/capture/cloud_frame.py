@@ -53,9 +53,9 @@ def images_of_cloud(
     Raises:
         ValueError: No pinhole camera explains an organised cloud, or no camera is stated for another one.
     """
-    far = np.any(np.abs(cloud.points) >= FARTHEST / scale, axis=2, keepdims=True)
+    far: NDArray[np.bool_] = np.abs(cloud.points).max(axis=2) >= FARTHEST / scale
     if far.any():
-        cloud = replace(cloud, points=np.where(far, np.nan, cloud.points))
+        cloud = replace(cloud, points=np.where(far[..., None], np.nan, cloud.points))
     points_cam, T_world_cam = _in_camera_frame(cloud, scale, axes)
     known = cloud.measured
     if project or not cloud.organised:
