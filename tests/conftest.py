@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +17,31 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 
 import cv2  # noqa: E402
 
+from perception.runtime.cache import digest  # noqa: E402
 from tests.chromium import chromium  # noqa: E402
 from tests.memory import give_back  # noqa: E402
 
 cv2.setNumThreads(1)
 
 ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("perception", "binpick_env", "policies")
+COMPILED = "binpick/kernels"  # digest of the kernels that an earlier session compiled, in pytest's cache
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the kernels once, in a process that ends, before several test processes load them."""
-    if getattr(session.config.option, "numprocesses", None) and not hasattr(session.config, "workerinput"):
-        session.config.get_terminal_writer().line("compiling the kernels, unless it is done: up to a minute")
-        subprocess.run([sys.executable, "-m", "tests.compiled_kernels"], cwd=ROOT, capture_output=True, check=False)
+    config = session.config
+    if not getattr(config.option, "numprocesses", None) or hasattr(config, "workerinput"):
+        return
+    sources = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("_*kernels.py"))]
+    kernels = digest(version("numba"), *((str(path), path.read_text()) for path in sources))
+    cache = getattr(config, "cache", None)
+    if cache is not None and cache.get(COMPILED, None) == kernels:
+        return
+    config.get_terminal_writer().line("compiling the kernels, unless it is done: up to a minute")
+    done = subprocess.run([sys.executable, "-m", "tests.compiled_kernels"], cwd=ROOT, capture_output=True, check=False)
+    if cache is not None and done.returncode == 0:
+        cache.set(COMPILED, kernels)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
