@@ -100,6 +100,15 @@ def depth_noise(depth: NDArray[np.float32], lag: int = _LAG) -> float:
     return float(np.median(second) / (_MEDIAN * np.sqrt(6.0)))
 
 
+def depth_std(depth: NDArray[np.float32], lag: int = _LAG) -> float:
+    """Return the standard deviation of a depth image's noise at its median depth, in the unit of the depth.
+
+    It is 0 where too little is measured. The arguments are those of :func:`depth_noise`.
+    """
+    measured = depth[depth > 0]
+    return depth_noise(depth, lag) * float(np.median(measured)) ** 2 if len(measured) else 0.0
+
+
 def _reach(noise: float, settings: DepthEdgeSettings) -> int:
     """Return the number of pixels on each side with which a crease of the smallest angle is certain.
 

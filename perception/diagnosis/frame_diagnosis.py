@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.boundary import BoundaryCloud, BoundarySettings, extract_boundary
-from perception.depth_edges import depth_noise
+from perception.depth_edges import depth_std
 from perception.diagnosis.geometry_causes import Setup, geometry_causes
 from perception.diagnosis.report import Cause, FrameReport, PoseCounts
 from perception.diagnosis.samples import DepthSamples
@@ -151,11 +151,7 @@ def _thickness(part: PartModel, depth: NDArray[np.float32], scale: float) -> lis
         depth: (H, W) depth.
         scale: Length of one unit of it [m].
     """
-    rows = depth[::_NOISE_ROWS]
-    measured = rows[:, ::_NOISE_ROWS][rows[:, ::_NOISE_ROWS] > 0]
-    if len(measured) == 0:
-        return []
-    thickness, noise = part_thickness(part), depth_noise(rows) * float(np.median(measured)) ** 2 * scale
+    thickness, noise = part_thickness(part), depth_std(depth[::_NOISE_ROWS]) * scale
     if thickness >= LEAST_NOISES * noise:
         return []
     text = (

@@ -8,7 +8,7 @@ import pytest
 
 from perception import _depth_edge_kernels as kernels
 from perception.boundary import BoundarySettings, extract_boundary
-from perception.depth_edges import DepthEdgeSettings, depth_edges, depth_noise
+from perception.depth_edges import DepthEdgeSettings, depth_edges, depth_noise, depth_std
 from perception.frame import Frame, Workspace
 from perception.geometry import camera_matrix, make_transform, rotation_about
 from tests.perception.flat_scene import FLOOR, K, Plate, bin_at, camera_over, flat, look
@@ -99,7 +99,10 @@ def test_specks_are_no_edges() -> None:
 def test_the_noise_is_measured() -> None:
     assert depth_noise(plane(noise=0.001)) == pytest.approx(0.001 / 0.81, rel=0.05)
     assert depth_noise(plane()) == 0.0
-    assert depth_noise(np.zeros((5, 4), np.float32)) == 0.0
+    assert depth_std(plane(noise=0.001)) == pytest.approx(0.001, rel=0.05)
+    assert depth_std(plane(noise=0.001), 8) == pytest.approx(0.001, rel=0.05)
+    for measure in (depth_noise, depth_std):
+        assert measure(np.zeros((5, 4), np.float32)) == 0.0
 
 
 def test_nothing_is_found_where_nothing_is_measured() -> None:

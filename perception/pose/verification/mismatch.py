@@ -44,6 +44,9 @@ def find_mismatch(
 ) -> Mismatch:
     """Return what only the model or only the scene has in a pose.
 
+    What the noise of the depth explains does not count: gaps of up to three of its standard deviations, and boundary
+    points up to six of them off the part.
+
     Args:
         T_cam_part: (4, 4) pose of the part in the camera frame.
         surface: Samples of the part's surface.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from perception.capture import Calibration, ReadOptions, frame_count, is_recording, read_frame, read_frame_with_report
-from tests.perception.capture.bags import K, Kind, Messages
+from tests.perception.capture.bags import Entry, K, Kind, Messages
 
 DEPTH_MM = np.random.default_rng(0).integers(500, 1500, (48, 64)).astype(np.uint16)
 DEPTH_MM[:3] = 0
@@ -17,10 +17,15 @@ GREY = np.random.default_rng(1).integers(0, 256, (48, 64)).astype(np.uint8)
 KINDS: tuple[Kind, ...] = ("ros1", "sqlite3", "mcap")
 
 
+def depth_camera(make: Messages) -> list[Entry]:
+    """Return a depth image of a camera and its calibration."""
+    return [("/d/image", 1, make.image(DEPTH_MM, "16UC1")), ("/d/camera_info", 1, make.info())]
+
+
 def bag(folder: Path, kind: Kind, *, nodes: int = 1) -> Path:
     """Return the recording of a ROS driver: three depth images, grey images, and calibrations of two cameras."""
     make = Messages(kind)
-    entries: list[tuple[str, int, Any]] = [
+    entries: list[Entry] = [
         ("/camera/color/camera_info", 1, make.info((128, 96), camera=2 * K)),
         ("/camera/depth/camera_info", 1, make.info()),
     ]
@@ -73,8 +78,7 @@ def test_a_colour_image_of_another_camera_is_not_taken_but_can_be_named(tmp_path
     red = np.zeros((48, 64, 3), np.uint8)
     red[..., 0] = 200
     entries = [
-        ("/d/image", 1, make.image(DEPTH_MM, "16UC1")),
-        ("/d/camera_info", 1, make.info()),
+        *depth_camera(make),
         ("/c/image", 2, make.image(red, "rgb8", frame="elsewhere")),
     ]
     path = make.write(tmp_path / "a", entries)
@@ -89,8 +93,7 @@ def test_a_colour_image_of_another_camera_is_not_taken_but_can_be_named(tmp_path
 def test_of_two_registered_images_none_is_taken(tmp_path: Path) -> None:
     make = Messages("mcap")
     entries = [
-        ("/d/image", 1, make.image(DEPTH_MM, "16UC1")),
-        ("/d/camera_info", 1, make.info()),
+        *depth_camera(make),
         ("/left/image", 2, make.image(GREY, "mono8")),
         ("/right/image", 2, make.image(GREY, "mono8")),
     ]
@@ -119,8 +122,7 @@ def test_images_that_cannot_be_read_are_refused_only_where_they_are_named(
 ) -> None:
     make = Messages("mcap")
     entries = [
-        ("/d/image", 1, make.image(DEPTH_MM, "16UC1")),
-        ("/d/camera_info", 1, make.info()),
+        *depth_camera(make),
         ("/raw/image", 2, make.image(GREY, "bayer_rggb8")),
         ("/ir/image", 2, make.image(GREY, "mono8")),
     ]
@@ -158,8 +160,7 @@ def test_compressed_grey_images_are_taken_where_they_are_named(tmp_path: Path) -
     make = Messages("mcap")
     png = cv2.imencode(".png", GREY)[1].tobytes()
     entries = [
-        ("/d/image", 1, make.image(DEPTH_MM, "16UC1")),
-        ("/d/camera_info", 1, make.info()),
+        *depth_camera(make),
         ("/ir/image/compressed", 2, make.compressed(png, "mono8; png compressed")),
     ]
     path = make.write(tmp_path / "a", entries)
@@ -177,8 +178,7 @@ def test_depth_images_are_preferred_to_the_cloud_of_the_same_camera(tmp_path: Pa
         table[name] = points_of(DEPTH_MM / 500.0)[..., k]
     entries = [
         ("/d/points", 1, make.cloud(table)),
-        ("/d/image", 1, make.image(DEPTH_MM, "16UC1")),
-        ("/d/camera_info", 1, make.info()),
+        *depth_camera(make),
     ]
     path = make.write(tmp_path / "53", entries)
     frame, report = read_frame_with_report(path)
