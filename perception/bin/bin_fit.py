@@ -30,6 +30,9 @@ class BinFit:
         points: Number of points that support each surface; 0 for one that was not seen.
         residual: Root mean square distance of these points from the fitted surfaces [m]; NaN without any.
         reason: Why the fit is unreliable; None for a reliable fit.
+        height: Measured height of the rim above the lowest level in the bin [m], which is the floor if that is among
+            the surfaces ``seen``, and may be flat parts otherwise; NaN without rim or level. That of an unreliable fit
+            is the height that its rim suggests, by the pose it started from or by what is measured below it, or NaN.
     """
 
     T_world_bin: Floats | None
@@ -40,6 +43,7 @@ class BinFit:
     points: Mapping[BinSurface, int]
     residual: float
     reason: str | None = None
+    height: float = float("nan")
 
     def __post_init__(self) -> None:
         if self.T_world_bin is not None:

@@ -31,11 +31,13 @@ class Prior:
         inner_size: (3,) inner length, width and height [m]; None if unknown.
         T_cam_bin: (4, 4) pose that it is believed to have; None if unknown.
         extent: (2,) length and width of the region around that pose in which it lies [m]; None if unknown.
+        height_known: Whether the height of ``inner_size`` is about right, so that it tells where the rim is.
     """
 
     inner_size: Floats | None
     T_cam_bin: Floats | None
     extent: Floats | None
+    height_known: bool = True
 
     def region(self, points_cam: Floats) -> Floats:
         """Return those of (N, 3) points that lie over or under the region of the bin, a little wider than it."""
@@ -56,11 +58,13 @@ class FirstGuess:
         state: The bin.
         rim: Whether its rim was found; otherwise only its floor was.
         whole: Whether the opening was found as a whole, so that its edges are near.
+        outline: Share of the outline of that opening beside which its rim was measured, in [0, 1].
     """
 
     state: BinState
     rim: bool
     whole: bool
+    outline: float = 0.0
 
 
 def guess_from_rim(cloud: GridCloud, prior: Prior, rng: np.random.Generator) -> FirstGuess | None:
@@ -81,8 +85,9 @@ def guess_from_rim(cloud: GridCloud, prior: Prior, rng: np.random.Generator) -> 
                 found.append((_merit(turned, prior), turned, plane))
     if found:
         _, opening, plane = max(found, key=lambda each: each[0])
-        return FirstGuess(state=_state_of_opening(opening, plane, cloud, prior), rim=True, whole=True)
-    if prior.T_cam_bin is None or prior.inner_size is None or not planes:
+        state = _state_of_opening(opening, plane, cloud, prior)
+        return FirstGuess(state=state, rim=True, whole=True, outline=opening.rim)
+    if prior.T_cam_bin is None or prior.inner_size is None or not prior.height_known or not planes:
         return None
     plane = planes[0]
     T_cam_bin = _upright(prior.T_cam_bin, plane, prior.inner_size[2])
@@ -148,7 +153,7 @@ def _extent(points_bin: Floats) -> Floats:
 def _rim_planes(cloud: GridCloud, prior: Prior, rng: np.random.Generator) -> list[Plane]:
     """Return planes that may be the rim's, the likeliest first."""
     points = prior.region(cloud.points_cam)
-    if prior.T_cam_bin is not None and prior.inner_size is not None:
+    if prior.T_cam_bin is not None and prior.inner_size is not None and prior.height_known:
         heights = transform_points(invert_transform(prior.T_cam_bin), points)[:, 2] - prior.inner_size[2]
         points = points[np.abs(heights) <= min(_SLAB, 0.7 * prior.inner_size[2])]
         first = find_plane(points, prior.T_cam_bin[:3, 2], STEEPEST, rng)

@@ -31,7 +31,7 @@ def why_unreliable(refined: Refined, opening: Floats, cloud: GridCloud, prior: P
         cloud: Points of the frame.
         prior: What was known of the bin before.
     """
-    points, size = refined.points, refined.state.size
+    points = refined.points
     if points["floor"] == points["rim"] == 0:
         return "neither its floor nor its rim is seen"
     seen = [any(points[name] > 0 for name in WALLS[axis : axis + 2]) for axis in (0, 2)]
@@ -55,12 +55,31 @@ def why_unreliable(refined: Refined, opening: Floats, cloud: GridCloud, prior: P
                 f"what looks like it lies {1000 * distance:.0f} mm and {np.degrees(angle):.0f} degrees from where it "
                 "is said to be"
             )
-    p = transform_points(invert_transform(refined.state.T_cam_bin), cloud.points_cam)
-    inside = np.all(np.abs(p[:, :2]) <= size[:2] / 2 - _BELOW, axis=1)
-    below = float(np.mean(p[inside, 2] < -_BELOW)) if inside.any() else 0.0
+    heights = _heights_inside(refined, cloud)
+    below = float(np.mean(heights < -_BELOW)) if len(heights) else 0.0
     if below > _BELOW_SHARE:
         return f"{100 * below:.0f} % of what is measured in it lies below its floor"
     return None
+
+
+def least_height(refined: Refined, cloud: GridCloud) -> float:
+    """Return the least height that a bin must have for what is measured in it [m].
+
+    It is NaN if the bin is high enough, and where its rim was not seen.
+    """
+    heights = _heights_inside(refined, cloud)
+    if refined.points["rim"] == 0 or len(heights) == 0:
+        return float("nan")
+    low = float(np.quantile(heights, _BELOW_SHARE / 2))
+    return float(refined.state.size[2]) + refined.state.lift - low if low < -_BELOW else float("nan")
+
+
+def _heights_inside(refined: Refined, cloud: GridCloud) -> Floats:
+    """Return the (N,) heights of the points between the walls of a bin above its floor [m]."""
+    p = transform_points(invert_transform(refined.state.T_cam_bin), cloud.points_cam)
+    inside = np.all(np.abs(p[:, :2]) <= refined.state.size[:2] / 2 - _BELOW, axis=1)
+    heights: Floats = p[inside, 2]
+    return heights
 
 
 def is_another_size(opening: Floats, stated: Floats) -> bool:

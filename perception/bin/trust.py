@@ -2,8 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from perception.bin.bin_fit import BinFit
 from perception.bin.choices import Trust, check_trust
+from perception.bin.height import OTHER_HEIGHT
 from perception.frame import Frame, Workspace
 from perception.geometry import invert_transform
 
@@ -13,7 +16,8 @@ UNSEEN_STD = 0.005, 0.026  # standard deviations of a pose that could not be mea
 def reconcile(frame: Frame, workspace: Workspace, fit: BinFit, trust: Trust) -> tuple[Frame, Workspace]:
     """Return a frame and its bin so that the bin stands where the frame shows it.
 
-    The bin returned has the uncertainty of the fit. If the fit is unreliable, the poses stay as they are, and the bin's
+    The bin returned has the uncertainty of the fit, and its height where the floor was measured more than a centimetre
+    from where the believed height puts it. If the fit is unreliable, the poses stay as they are, and the bin's
     is uncertain by 5 mm and 1.5 degrees.
 
     Args:
@@ -30,7 +34,10 @@ def reconcile(frame: Frame, workspace: Workspace, fit: BinFit, trust: Trust) -> 
     if not fit.reliable or fit.T_world_bin is None:
         translation_std, rotation_std = UNSEEN_STD
         return frame, replace(workspace, translation_std=translation_std, rotation_std=rotation_std)
-    measured = replace(workspace, translation_std=fit.translation_std, rotation_std=fit.rotation_std)
+    size = workspace.inner_size
+    if fit.inner_size is not None and abs(fit.inner_size[2] - size[2]) > OTHER_HEIGHT:
+        size = np.array([*size[:2], fit.inner_size[2]])
+    measured = replace(workspace, inner_size=size, translation_std=fit.translation_std, rotation_std=fit.rotation_std)
     if trust == "camera":
         return frame, replace(measured, T_world_bin=fit.T_world_bin)
     T_bin_cam = invert_transform(fit.T_world_bin) @ frame.T_world_cam

@@ -26,6 +26,9 @@ class BinFacts:
         inner_size: Inner length, width and height [m], where nothing was believed; None otherwise, and for a table.
         opening: Measured length and width of the opening [m], None where its edges were not seen; None without both.
         size_given: Inner length, width and height that were given without a place [m]; None if they were measured.
+        height_assumed: Stated height that the place of the floor rests on, which was not seen [m]; None if it was.
+        height_seen: Height of the rim above the lowest level in the bin, be it floor or flat parts [m]; None without
+            rim or level.
     """
 
     measured: bool
@@ -39,6 +42,8 @@ class BinFacts:
     inner_size: tuple[float, ...] | None = None
     opening: tuple[float | None, ...] | None = None
     size_given: tuple[float, ...] | None = None
+    height_assumed: float | None = None
+    height_seen: float | None = None
 
     @classmethod
     def of(cls, fit: BinFit, believed: Workspace | None, size_given: Floats | None = None) -> "BinFacts":
@@ -67,6 +72,8 @@ class BinFacts:
             )
         distance, angle = (None, None) if believed is None else fit.offset_from(believed)
         size = fit.inner_size if believed is None else None
+        stated = size_given if believed is None else believed.inner_size
+        assumed = None if stated is None or "floor" in fit.seen else float(stated[2])
         return cls(
             measured=True,
             reason=None,
@@ -79,6 +86,8 @@ class BinFacts:
             inner_size=None if size is None else tuple(size.tolist()),
             opening=opening if edges.any() else None,
             size_given=given,
+            height_assumed=assumed,
+            height_seen=None if np.isnan(fit.height) else fit.height,
         )
 
     def __str__(self) -> str:
@@ -105,8 +114,17 @@ class BinFacts:
         only = "" if walls else ", height and tilt only"
         return (
             f"the bin was measured by {', '.join(seen)}{where} (standard deviations "
-            f"{1000 * self.translation_std:.1f} mm, {np.degrees(self.rotation_std):.2f} degrees{only})"
+            f"{1000 * self.translation_std:.1f} mm, {np.degrees(self.rotation_std):.2f} degrees{only}){self._unseen()}"
         )
+
+    def _unseen(self) -> str:
+        """Return what is said of a floor that was not seen."""
+        if self.height_assumed is None:
+            return ""
+        unseen = f"; its floor was not seen, so that it lies where the stated height of {_mm([self.height_assumed])} mm"
+        if self.height_seen is None:
+            return f"{unseen} puts it"
+        return f"{unseen} puts it: flat parts cover it, or it is {_mm([self.height_seen])} mm below the rim"
 
 
 def _mm(size: Sequence[float | None]) -> str:

@@ -71,3 +71,42 @@ def test_the_facts_tell_the_opening_measured_from_the_size_given() -> None:
     facts = BinFacts.of(replace(FOUND, opening=np.full(2, np.nan)), None, GIVEN)
     assert "its opening was not seen as a whole, 360 x 260 x 120 mm inside as given" in str(facts)
     assert "wall: 360 x 260 x 120 mm inside (" in str(BinFacts.of(FOUND, None))
+
+
+@pytest.mark.parametrize(
+    ("fit", "text"),
+    [
+        (replace(FOUND, height=0.1), "inner_size height stated 120 mm, measured 100 mm: correct --bin, or let"),
+        (replace(FOUND, height=0.124), None),
+        (replace(FOUND, height=0.126, translation_std=0.0025), None),
+        (replace(FOUND, height=0.1, points={"rim": 9, "wall_x+": 9}), None),  # flat parts may cover the floor
+        (replace(FOUND, height=0.15, reason="no"), "the frame suggests at least 150 mm (no): correct --bin"),
+    ],
+)
+def test_the_height_measured_is_compared_with_the_height_given(fit: BinFit, text: str | None) -> None:
+    cause = bin_size_cause(fit, GIVEN, ())
+    if text is None:
+        assert cause is None
+    else:
+        assert cause is not None
+        assert cause.name == "bin_size"
+        assert text in cause.text
+
+
+def test_an_opening_and_a_height_that_differ_are_one_cause() -> None:
+    cause = bin_size_cause(replace(FOUND, opening=np.array([0.37, 0.27]), height=0.1), GIVEN, ())
+    assert cause is not None
+    assert "opening measures 370 x 270 mm" in cause.text
+    assert "inner_size height stated 120 mm, measured 100 mm" in cause.text
+
+
+def test_the_facts_say_that_an_unseen_floor_lies_where_the_stated_height_puts_it() -> None:
+    hidden = replace(FOUND, points={"rim": 9, "wall_x+": 9})
+    facts = BinFacts.of(hidden, None, GIVEN)
+    assert facts.height_assumed == GIVEN[2]
+    assert "its floor was not seen, so that it lies where the stated height of 120 mm puts it" in str(facts)
+    facts = BinFacts.of(replace(hidden, height=0.114), None, GIVEN)
+    assert facts.height_seen == 0.114
+    assert str(facts).endswith("120 mm puts it: flat parts cover it, or it is 114 mm below the rim")
+    assert BinFacts.of(FOUND, None, GIVEN).height_assumed is None
+    assert BinFacts.of(hidden, None).height_assumed is None
