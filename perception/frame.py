@@ -1,5 +1,6 @@
 """A frame of a depth camera, and the bin that it shows."""
 
+import logging
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +18,11 @@ from perception.geometry import (
     transform_points,
 )
 
+# Depth from which on a value stands for "no measurement", as the largest ones of 32-bit integers and floating point do
+# [m]. Micrometres that are taken as metres stay below it, so that the wrong unit can be told.
+FARTHEST = 1e6
+_log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frame:
@@ -26,7 +32,7 @@ class Frame:
         grey: (H, W) uint8 grey image, registered to the depth; zeros if it is left out or None, for a camera that
             takes none.
         depth: (H, W) float32 depth along the optical axis [m]; 0 where there is no measurement. Values that are not
-            finite and positive become 0.
+            finite and positive, or at least `FARTHEST`, become 0.
         K: (3, 3) camera matrix [px] of this image, pixel centres at integers.
         T_world_cam: (4, 4) camera pose, OpenCV axes; a rotation and a translation.
     """
@@ -53,8 +59,7 @@ class Frame:
             raise ValueError(f"depth must be floating point metres, got {self.depth.dtype} (millimetres in integers?)")
         require_camera(self.K, self.depth.shape[1], self.depth.shape[0])
         require_rigid("T_world_cam", self.T_world_cam)
-        clean = np.where(np.isfinite(self.depth) & (self.depth > 0), self.depth, 0).astype(np.float32)
-        object.__setattr__(self, "depth", clean)
+        object.__setattr__(self, "depth", _measured(self.depth))
 
     @property
     def has_grey(self) -> bool:
@@ -65,6 +70,20 @@ class Frame:
     def valid(self) -> NDArray[np.bool_]:
         """(H, W) mask of the pixels that have a depth."""
         return self.depth > 0
+
+
+def _measured(depth: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return (H, W) depths [m] with 0 in place of what is no distance; NaN fails both comparisons."""
+    depth = depth if depth.itemsize >= 4 else depth.astype(np.float32)  # half precision ends before `FARTHEST`
+    ahead = depth > 0
+    near = ahead & (depth < FARTHEST)
+    if not near.any() and (ahead & np.isfinite(depth)).any():
+        _log.warning(
+            "all depths are %.0e m or more and count as missing: is their unit the metre? Readers take scale "
+            "(--depth-scale on the command line)",
+            FARTHEST,
+        )
+    return np.where(near, depth, 0).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -88,8 +107,8 @@ class Workspace:
             object.__setattr__(self, name, as_floats(name, getattr(self, name)))
         require_rigid("T_world_bin", self.T_world_bin)
         require_shape("inner_size", self.inner_size, (3,))
-        if not np.all(self.inner_size > 0):
-            raise ValueError(f"inner_size must be positive, got {self.inner_size.tolist()}")
+        if not np.all((self.inner_size > 0) & (self.inner_size < np.inf)):
+            raise ValueError(f"inner_size must be positive and finite, got {self.inner_size.tolist()}")
         for name in ("translation_std", "rotation_std"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be 0 or more and finite, got {getattr(self, name)}")

@@ -56,8 +56,8 @@ def find_bin(frame: Frame, inner_size: Floats | None, near: Workspace | None = N
     if inner_size is not None:
         inner_size = np.asarray(inner_size, np.float64)
         require_shape("inner_size", inner_size, (3,))
-        if not np.all(inner_size > 0):
-            raise ValueError(f"inner_size must be positive, got {inner_size.tolist()}")
+        if not np.all((inner_size > 0) & (inner_size < np.inf)):
+            raise ValueError(f"inner_size must be positive and finite, got {inner_size.tolist()}")
     T_cam_world = invert_transform(frame.T_world_cam)
     prior = Prior(
         inner_size=inner_size,

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from perception.capture.calibration import Calibration
 from perception.capture.cloud import Cloud
-from perception.capture.images import FARTHEST
 from perception.capture.options import Axes
 from perception.capture.pinhole import fit_pinhole, require_pinhole, residual_of
 from perception.capture.projection import project_cloud
+from perception.frame import FARTHEST
 from perception.geometry import Floats, invert_transform, transform_points
 
 STATED = 1.0  # largest root mean square residual of a cloud in the camera that the caller states [px]

@@ -8,12 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.frame import FARTHEST
+
 EXR = "OPENCV_IO_ENABLE_OPENEXR"  # environment variable without which OpenCV reads no EXR
 FLOATING_SCALE = 1.0  # floating-point images are in metres unless stated otherwise [m]
 INTEGER_SCALE = 0.001  # integer images are in millimetres unless stated otherwise [m]
-# Depth from which on a value stands for "no measurement", as the largest ones of 32-bit integers and floating point do
-# [m]. Micrometres that are taken as metres stay below it, so that the wrong unit can be told.
-FARTHEST = 1e6
 _log = logging.getLogger(__name__)
 
 

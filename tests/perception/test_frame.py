@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from perception.capture.images import metres
 from perception.frame import Frame, Workspace
 from perception.geometry import camera_matrix, invert_transform, make_transform, random_rotation, rotation_about
 
@@ -32,7 +33,7 @@ def workspace(yaw: float = 0.0, position: tuple[float, float, float] = (0.5, 0.1
 # --- Frame -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -0.9, 0.0, -0.0, -1e-30])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -0.9, 0.0, -0.0, -1e-30, 1e6, 1e38, 1e300])
 def test_what_is_no_distance_becomes_zero(bad: float) -> None:
     depth = np.full(SHAPE, 0.9)
     depth[1, 2] = bad
@@ -45,6 +46,25 @@ def test_what_is_no_distance_becomes_zero(bad: float) -> None:
     assert seen.depth.dtype == np.float32
     assert seen.valid.shape == SHAPE
     np.testing.assert_array_equal(depth, given_depth)  # the caller's array is his own
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_the_farthest_distance_is_that_of_the_readers(dtype: type) -> None:
+    depth = np.array([[0.5, 999_999.0, 65504.0], [1_000_000.0, np.inf, 1e37]])
+    with np.errstate(over="ignore"):
+        stored = depth.astype(dtype)
+    K = camera_matrix(100.0, 3, 2)
+    seen = Frame(depth=stored, K=K, T_world_cam=np.eye(4))
+    np.testing.assert_array_equal(seen.depth, metres(stored, None, ()))
+
+
+def test_depths_that_are_all_too_far_are_said(caplog: pytest.LogCaptureFixture) -> None:
+    frame(depth=np.full(SHAPE, 1e38, np.float32))
+    assert "all depths are 1e+06 m or more and count as missing: is their unit the metre?" in caplog.text
+    caplog.clear()
+    frame(depth=np.array([[1e38, 0.9, np.nan, np.inf, 0, -1]] * 4))
+    frame(depth=np.full(SHAPE, np.inf))
+    assert caplog.text == ""
 
 
 def test_a_frame_keeps_no_hold_of_the_callers_depth() -> None:
@@ -183,10 +203,11 @@ def test_lists_and_tuples_of_numbers_are_taken() -> None:
         ({"inner_size": np.ones(2)}, "inner_size must be (3,), got (2,)"),
         ({"inner_size": None}, "inner_size must be (3,), got ()"),
         ({"T_world_bin": "eye"}, "T_world_bin must be an array of numbers, got 'eye'"),
-        ({"inner_size": np.array([0.3, 0.0, 0.1])}, "inner_size must be positive, got [0.3, 0.0, 0.1]"),
+        ({"inner_size": np.array([0.3, 0.0, 0.1])}, "inner_size must be positive and finite, got [0.3, 0.0, 0.1]"),
         ({"translation_std": -0.001}, "translation_std must be 0 or more and finite, got -0.001"),
         ({"rotation_std": np.inf}, "rotation_std must be 0 or more and finite, got inf"),
-        ({"inner_size": np.array([0.3, np.nan, 0.1])}, "inner_size must be positive, got [0.3, nan, 0.1]"),
+        ({"inner_size": np.array([0.3, np.inf, 0.1])}, "inner_size must be positive and finite, got [0.3, inf, 0.1]"),
+        ({"inner_size": np.array([0.3, np.nan, 0.1])}, "inner_size must be positive and finite, got [0.3, nan, 0.1]"),
     ],
 )
 def test_a_bin_that_makes_no_sense_is_refused(changes: dict[str, Any], text: str) -> None:

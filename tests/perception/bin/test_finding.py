@@ -211,7 +211,7 @@ def test_another_image_size_finds_the_same_bin() -> None:
     assert turned < 0.2
 
 
-@pytest.mark.parametrize("size", [np.array([0.3, 0.2]), np.array([0.3, -0.2, 0.1])])
+@pytest.mark.parametrize("size", [np.array([0.3, 0.2]), np.array([0.3, -0.2, 0.1]), np.array([0.3, 0.2, np.inf])])
 def test_a_size_that_is_none_is_refused(size: Floats) -> None:
     with pytest.raises(ValueError, match="inner_size must be"):
         find_bin(AT.see(EMPTY), size)
