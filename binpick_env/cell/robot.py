@@ -65,15 +65,19 @@ def robot_spec(config: RobotConfig) -> mujoco.MjSpec:
             body.gravcomp = 1.0
     spec.body("base").pos = [0, 0, config.pedestal_height]
     spec.body("base").quat = [1, 0, 0, 0]  # instead of Menagerie's turn by 180 deg, so that a pan near 0 faces the bin
-    half = config.pedestal_height / 2
+    add_pedestal(spec, config.pedestal_height)
+    return spec
+
+
+def add_pedestal(spec: mujoco.MjSpec, height: float) -> None:
+    """Add the box that the robot stands on, ``height`` [m] high, to the world of a spec; it collides with nothing."""
     spec.worldbody.add_geom(
         name="pedestal",
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[0.09, 0.09, half],
-        pos=[0, 0, half],
+        size=[0.09, 0.09, height / 2],
+        pos=[0, 0, height / 2],
         rgba=[0.25, 0.25, 0.27, 1],
         group=2,
         contype=0,
         conaffinity=0,
     )
-    return spec

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import trimesh
 
-from binpick_env.cell.robot import robot_spec
+from binpick_env.cell.robot import add_pedestal, robot_spec
 from binpick_env.config import CellConfig, ContactConfig
 from binpick_env.parts.part import Part
 from perception.geometry import Floats, make_transform, quat_from_matrix
@@ -38,6 +38,22 @@ def cell_spec(config: CellConfig, part: Part | None = None, num_parts: int = 0) 
     spec.visual.global_.offheight = max(960, config.camera.height)
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.worldbody.add_light(name="lamp", pos=[0.2, -0.4, 2.0], dir=[0.1, 0.2, -1.0], castshadow=True)
+    _add_surroundings(spec, config)
+    if part is not None and num_parts > 0:
+        _add_parts(spec, part, num_parts, config.contact)
+    return spec
+
+
+def surroundings_spec(config: CellConfig) -> mujoco.MjSpec:
+    """Build what stands around the robot of the cell: pedestal, table, bin and drop tray, without the robot itself."""
+    spec = mujoco.MjSpec()
+    add_pedestal(spec, config.robot.pedestal_height)
+    _add_surroundings(spec, config)
+    return spec
+
+
+def _add_surroundings(spec: mujoco.MjSpec, config: CellConfig) -> None:
+    """Add table, bin and drop tray."""
     spec.worldbody.add_geom(
         name=TABLE_GEOM, type=_BOX, size=[0.8, 0.8, 0.05], pos=[0.3, 0, -0.05], rgba=[0.55, 0.5, 0.45, 1], group=VISIBLE
     )
@@ -48,9 +64,6 @@ def cell_spec(config: CellConfig, part: Part | None = None, num_parts: int = 0) 
     )
     for box in boxes:
         _add_box(spec, box, config.contact)
-    if part is not None and num_parts > 0:
-        _add_parts(spec, part, num_parts, config.contact)
-    return spec
 
 
 class _OpenBox(NamedTuple):

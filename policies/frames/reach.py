@@ -1,5 +1,7 @@
 """Which grasps a UR5e reaches, whose base and whose bin stand somewhere in the user's world."""
 
+from copy import copy
+
 import numpy as np
 
 from binpick_env.cell.robot import HOME
@@ -36,6 +38,11 @@ class Reach:
             ValueError: The bin is tilted against the base, or stands higher than it.
         """
         self.T_world_base, self.workspace, self._jaw = T_world_base, workspace, jaw
+        self._prepare(PlanningScene(self._cell()))
+
+    def _cell(self) -> CellConfig:
+        """Return the planner's cell, in which the base stands at the origin, as high over the table as it does."""
+        T_world_base, workspace = self.T_world_base, self.workspace
         T_base_bin = invert_transform(T_world_base) @ workspace.T_world_bin
         tilt = float(np.arccos(np.clip(T_base_bin[2, 2], -1, 1)))
         if tilt > TILT:
@@ -52,21 +59,24 @@ class Reach:
             )
         x, y, z = workspace.inner_size.tolist()
         place, yaw = T_base_bin[:2, 3].tolist(), float(np.arctan2(T_base_bin[1, 0], T_base_bin[0, 0]))
-        config = CellConfig(
-            robot=RobotConfig(pedestal_height=height, jaw=jaw),
+        return CellConfig(
+            robot=RobotConfig(pedestal_height=height, jaw=self._jaw),
             bin=BinConfig(inner_size=(x, y, z), wall=_WALL, position=(place[0], place[1]), yaw=yaw),
             tray=TrayConfig(position=_ASIDE),
         )
-        self._scene = PlanningScene(config)
-        self._ik = IkSolver(self._scene)
-        self._T_cell_world = make_transform(translation=(0.0, 0.0, height)) @ invert_transform(T_world_base)
+
+    def _prepare(self, scene: PlanningScene) -> None:
+        self._scene = scene
+        self._ik = IkSolver(scene)
+        height = scene.config.robot.pedestal_height
+        self._T_cell_world = make_transform(translation=(0.0, 0.0, height)) @ invert_transform(self.T_world_base)
         self._clearance = PlannerSettings().line_clearance
 
     def at(self, workspace: Workspace) -> "Reach":
         """Return the reach over a bin, such as the one measured in a frame.
 
-        It is this one where the bins agree to 0.1 mm and 0.01 degrees. Otherwise the models are compiled anew, which
-        takes about a second.
+        It is this one where the bins agree to 0.1 mm and 0.01 degrees. Otherwise it is that which ``Reach`` makes of
+        the bin, but the models of the robot are kept, so that it takes some hundredths of a second.
 
         Args:
             workspace: The bin, in the same world.
@@ -79,7 +89,10 @@ class Reach:
         turn = rotation_angle(T_own[:3, :3].T @ T_other[:3, :3])
         if np.abs(lengths).max() <= _SAME_PLACE and turn <= _SAME_TURN:
             return self
-        return Reach(self.T_world_base, workspace, self._jaw)
+        other = copy(self)
+        other.workspace = workspace
+        other._prepare(self._scene.around(other._cell()))
+        return other
 
     def reaches(self, T_world_tcp: Floats, opening: float) -> bool:
         """Return whether the arm reaches a pose of its tcp with the jaw open, clear of table, bin and itself.

@@ -5,16 +5,18 @@ at any opening of the jaw. ``arm_model`` (six joints, the jaw rigid and open by 
 kinematics.
 """
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from binpick_env.cell.robot import ARM_JOINTS, FINGER_PADS, GRIPPER, TCP_SITE
-from binpick_env.cell.scene import cell_spec
+from binpick_env.cell.scene import cell_spec, surroundings_spec
 from binpick_env.config import CellConfig
 from perception.geometry import Floats, require_shape
 from policies.motion._kernels import box_heights
+from policies.motion.surroundings import with_surroundings
 
 DOF = len(ARM_JOINTS)
 MAX_CLEARANCE = 0.03  # contacts with the cell are found up to this distance [m]
@@ -52,6 +54,35 @@ class PlanningScene:
         self.config = config if config is not None else CellConfig()
         self.model = _planning_spec(self.config).compile()
         self.arm_model = _without_jaw_joints(_planning_spec(self.config)).compile()
+        self._prepare()
+
+    def around(self, config: CellConfig) -> "PlanningScene":
+        """Return the scene of a cell with the same robot; only what stands around it is compiled, which takes 10 ms.
+
+        Args:
+            config: The cell. Pedestal, bin and tray may differ from this scene's, the robot may not.
+
+        Raises:
+            ValueError: The robot differs in more than its pedestal.
+        """
+        robot = replace(config.robot, pedestal_height=self.config.robot.pedestal_height)
+        if robot != self.config.robot:
+            raise ValueError(
+                f"the robot must be the scene's {self.config.robot} but for its pedestal, got {config.robot}: make a new "
+                "PlanningScene for another robot"
+            )
+        scene = copy(self)
+        scene.config = config
+        surroundings = _surroundings_spec(config).compile()
+        scene.model, scene.arm_model = (
+            with_surroundings(model, surroundings, config.robot.pedestal_height)
+            for model in (self.model, self.arm_model)
+        )
+        scene._prepare()
+        return scene
+
+    def _prepare(self) -> None:
+        """Calibrate the jaw, and note where the boxes of the cell stand."""
         self._data = mujoco.MjData(self.model)
         self._tcp = self.model.site(TCP_SITE).id
         self._drivers, self._openings = self._calibrate_jaw()
@@ -175,11 +206,24 @@ def _planning_spec(config: CellConfig) -> mujoco.MjSpec:
                 if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
                     _as_mesh(spec, geom)
             elif geom.name:  # the base's visible shapes have no names
-                geom.contype, geom.conaffinity, geom.margin = _STATIC, 0, MAX_CLEARANCE
+                _make_static(geom)
     used = {geom.meshname for body in spec.bodies for geom in body.geoms}
     for mesh in [mesh for mesh in spec.meshes if mesh.name not in used]:
         spec.delete(mesh)  # the visible shapes' meshes would take 30 MB of each model
     return spec
+
+
+def _surroundings_spec(config: CellConfig) -> mujoco.MjSpec:
+    """Return what stands around the robot, with the bits of the planner."""
+    spec = surroundings_spec(config)
+    for body in spec.bodies:
+        for geom in body.geoms:
+            _make_static(geom)
+    return spec
+
+
+def _make_static(geom: mujoco.MjsGeom) -> None:
+    geom.contype, geom.conaffinity, geom.margin = _STATIC, 0, MAX_CLEARANCE
 
 
 def _as_mesh(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> None:

@@ -13,6 +13,7 @@ from perception.part import PartModel
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.verification import Verdict
 from policies.frames import FrameGrasp, GraspFinder, Reach, grasp_finder
+from policies.frames import reach as reach_module
 from policies.frames.grasp_finder import PER_PART
 from policies.grasping import GraspSet, GraspSettings, sample_grasps
 from tests.perception.block_scene import BIN, ELL, POSES, photographed
@@ -116,6 +117,20 @@ def test_reach_over_the_same_bin_is_not_compiled_again() -> None:
     np.testing.assert_array_equal(turned.T_world_base, reach.T_world_base)
     larger = Workspace(T_world_bin=BIN.T_world_bin, inner_size=BIN.inner_size + 0.01)
     assert reach.at(larger).workspace is larger
+
+
+def test_reach_over_another_bin_is_that_made_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    reach = Reach(in_bin((-0.5, 0.0, 0.1)), BIN, jaw=0.06)
+    T = make_transform(rotation_about((0, 0, 1), 0.3), (0.02, -0.01, 0.004))
+    other = Workspace(T_world_bin=BIN.T_world_bin @ T, inner_size=BIN.inner_size + np.array([0.02, -0.01, 0.03]))
+    made = Reach(reach.T_world_base, other, 0.06)
+    monkeypatch.setattr(reach_module, "PlanningScene", None)  # nothing is compiled as a whole
+    moved = reach.at(other)
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        grasp = make_transform(np.diag([1.0, -1.0, -1.0]), rng.uniform((-0.1, -0.07, 0.0), (0.1, 0.07, 0.15)))
+        T_world_tcp = other.T_world_bin @ grasp @ make_transform(rotation_about((0, 0, 1), rng.uniform(0, 3)))
+        assert moved.reaches(T_world_tcp, 0.05) == made.reaches(T_world_tcp, 0.05)
 
 
 def test_reach_is_unknown_over_a_bin_that_is_measured_tilted(caplog: pytest.LogCaptureFixture) -> None:
