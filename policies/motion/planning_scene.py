@@ -68,8 +68,8 @@ class PlanningScene:
         robot = replace(config.robot, pedestal_height=self.config.robot.pedestal_height)
         if robot != self.config.robot:
             raise ValueError(
-                f"the robot must be the scene's {self.config.robot} but for its pedestal, got {config.robot}: make a new "
-                "PlanningScene for another robot"
+                f"the robot must be the scene's {self.config.robot} but for its pedestal, got {config.robot}: make "
+                "a PlanningScene of the other robot"
             )
         scene = copy(self)
         scene.config = config
