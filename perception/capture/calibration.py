@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from perception.geometry import Floats, invert_transform, require_rigid
+from perception.geometry import Floats, as_floats, invert_transform, make_transform, require_rigid
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients that OpenCV's model takes
 ASPECT = 0.01  # largest relative difference of the two factors by which an image was scaled; sizes are whole pixels
@@ -33,7 +33,7 @@ class Calibration:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K", require_camera_matrix(self.K))
-        distortion = np.asarray(self.distortion, np.float64).reshape(-1)
+        distortion = as_floats("distortion", self.distortion).reshape(-1)
         if len(distortion) not in DISTORTION_LENGTHS or not np.isfinite(distortion).all():
             raise ValueError(
                 f"distortion must be {', '.join(map(str, DISTORTION_LENGTHS))} finite coefficients in OpenCV's order "
@@ -45,8 +45,8 @@ class Calibration:
             if min(width, height) < 1:
                 raise ValueError(f"size must be a positive width and height [px], got {self.size}")
             object.__setattr__(self, "size", (width, height))
-        if self.depth_scale is not None and not 0 < self.depth_scale < np.inf:
-            raise ValueError(f"depth_scale must be a positive length [m] per unit, got {self.depth_scale}")
+        if self.depth_scale is not None:
+            require_length("depth_scale", self.depth_scale)
         if self.T_world_cam is not None:
             object.__setattr__(self, "T_world_cam", require_pose("T_world_cam", self.T_world_cam))
 
@@ -115,13 +115,20 @@ def require_inside(crop: Sequence[float], size: tuple[int, int] | None) -> tuple
     return u0, v0, width, height
 
 
+def require_length(name: str, value: object, option: str = "") -> None:
+    """Raise ``ValueError`` unless a value is a positive length [m] per unit."""
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not (number and 0 < value < np.inf):  # type: ignore[operator]
+        raise ValueError(f"{name} must be a positive length [m] per unit, got {value}{option}")
+
+
 def require_camera_matrix(K: ArrayLike) -> Floats:
     """Return K as a (3, 3) float64 array.
 
     Raises:
         ValueError: K has another shape or last row, focal lengths that are not positive, or skew.
     """
-    matrix = np.array(K, dtype=np.float64)
+    matrix = as_floats("K", K).copy()
     if matrix.shape != (3, 3):
         raise ValueError(f"K must be (3, 3), got {matrix.shape}")
     if not (np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0):
@@ -141,16 +148,17 @@ def require_pose(name: str, pose: ArrayLike) -> Floats:
     Raises:
         ValueError: The pose has another shape or is not rigid, or its axes are left-handed.
     """
-    T = np.array(pose, dtype=np.float64)
+    T = as_floats(name, pose).copy()
     require_rigid(name, T)
     return T
 
 
 def pose_from_world_to_camera(rotation: ArrayLike, translation: ArrayLike) -> Floats:
     """Return ``T_world_cam`` of the (3, 3) rotation and (3,) translation [m] that map the world to the camera."""
-    T_cam_world = np.eye(4)
-    T_cam_world[:3, :3] = np.reshape(np.asarray(rotation, np.float64), (3, 3))
-    T_cam_world[:3, 3] = np.asarray(translation, np.float64)
+    R, t = as_floats("rotation", rotation), as_floats("translation", translation)
+    if R.size != 9 or t.size != 3:
+        raise ValueError(f"rotation and translation must have 9 and 3 numbers, got {R.size} and {t.size}")
+    T_cam_world = make_transform(R.reshape(3, 3), t.reshape(3))
     return invert_transform(require_pose("the pose of the world in the camera", T_cam_world))
 
 

@@ -1,6 +1,7 @@
 """Calibrations from files: RealSense, Open3D, Azure Kinect, BOP, OpenCV, ROS, and those written beside frames."""
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,18 @@ import numpy as np
 from perception.capture.azure import azure_calibration, is_azure
 from perception.capture.calibration import Calibration, pose_from_world_to_camera
 from perception.capture.damage import decoding
+from perception.capture.text_files import read_text
 from perception.capture.yaml_subset import parse_yaml
+from perception.geometry import Floats, as_floats
 
+# Lengths of units by their names [m].
+_METRES = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("cm", "centimetre", "centimetres", "centimeter", "centimeters"), 0.01),
+    **dict.fromkeys(("mm", "millimetre", "millimetres", "millimeter", "millimeters"), 0.001),
+    **dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micrometre", "micrometres", "micrometer", "micrometers"), 1e-6),
+}
+_LENGTH = re.compile(r"\s*(?P<number>[+-]?[0-9.][0-9.eE+-]*)?\s*(?P<unit>[^\W\d_]*)\s*")
 MODELS = ("plumb_bob", "rational_polynomial", "brown_conrady", "opencv", "none", "")  # those of OpenCV's formula
 FORMATS = (
     "RealSense (fx, fy, ppx, ppy), Open3D (intrinsic_matrix), Azure Kinect (CalibrationInformation), "
@@ -39,12 +50,12 @@ def read_calibration(
 
 
 def _decoded(path: Path, image_id: int | None, size: tuple[int, int] | None) -> Calibration:
-    text = path.read_text(encoding="utf-8", errors="replace")
-    if "\0" in text:
-        raise ValueError(
-            f"{path.name} must be a calibration in JSON or YAML, got a binary file: write the camera matrix as JSON, "
-            'such as {"fx": 600, "fy": 600, "cx": 320, "cy": 240, "width": 640, "height": 480}'
-        )
+    text = read_text(
+        path,
+        kind="a calibration in JSON or YAML",
+        advice="write the camera matrix as JSON, such as "
+        '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "width": 640, "height": 480}',
+    )
     content = json.loads(text) if path.suffix.lower() == ".json" else parse_yaml(text)
     if not isinstance(content, dict):
         raise ValueError(f"{path.name} must hold named values, got a {type(content).__name__}")
@@ -86,29 +97,41 @@ def calibration_of(values: Mapping[str, Any], name: str = "the calibration") -> 
         raise ValueError(f"{name} must hold a camera matrix as one of {FORMATS}, got the keys {sorted(values)}")
     T_world_cam = values.get("T_world_cam")
     if T_world_cam is None and "cam_R_w2c" in values and "cam_t_w2c" in values:  # BOP, millimetres
-        T_world_cam = pose_from_world_to_camera(values["cam_R_w2c"], np.asarray(values["cam_t_w2c"]) / 1000)
+        T_world_cam = pose_from_world_to_camera(values["cam_R_w2c"], as_floats("cam_t_w2c", values["cam_t_w2c"]) / 1000)
     return Calibration(
         K=K, distortion=_distortion(values, name), size=_size(values), depth_scale=_depth_scale(values),
         T_world_cam=T_world_cam,
     )  # fmt: skip
 
 
-def _numbers(value: Any) -> Any:
+def _numbers(value: Any, key: str) -> Floats:
     """Return a matrix that OpenCV or ROS wrote as its numbers, in a row."""
-    data = value.get("data") if isinstance(value, Mapping) else value
-    return np.asarray(data, np.float64).reshape(-1)
+    data: Any = value.get("data") if isinstance(value, Mapping) else value
+    return as_floats(key, data).reshape(-1)
 
 
 def _camera_matrix(values: Mapping[str, Any]) -> Any:
     for key in ("cam_K", "camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k"):
-        if values.get(key) is not None and np.size(_numbers(values[key])) == 9:
-            return _numbers(values[key]).reshape(3, 3)
-    if values.get("intrinsic_matrix") is not None and np.size(_numbers(values["intrinsic_matrix"])) == 9:
-        return _numbers(values["intrinsic_matrix"]).reshape(3, 3).T  # Open3D writes columns
-    cx, cy = values.get("ppx", values.get("cx")), values.get("ppy", values.get("cy"))
-    if None in (values.get("fx"), values.get("fy"), cx, cy):
+        if values.get(key) is not None and np.size(numbers := _numbers(values[key], key)) == 9:
+            return numbers.reshape(3, 3)
+    key = "intrinsic_matrix"
+    if values.get(key) is not None and np.size(numbers := _numbers(values[key], key)) == 9:
+        return numbers.reshape(3, 3).T  # Open3D writes columns
+    across, down = ("ppx" if "ppx" in values else "cx"), ("ppy" if "ppy" in values else "cy")
+    if any(values.get(key) is None for key in ("fx", "fy", across, down)):
         return None
-    return [[values["fx"], 0, cx], [0, values["fy"], cy], [0, 0, 1]]
+    fx, fy, cx, cy = (_number(values[key], key) for key in ("fx", "fy", across, down))
+    return [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+
+
+def _number(value: Any, key: str) -> float:
+    """Return a value as a number; text that is one counts."""
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        return float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{key} must be a number, got {value!r}") from None
 
 
 def _distortion(values: Mapping[str, Any], name: str) -> Any:
@@ -116,7 +139,7 @@ def _distortion(values: Mapping[str, Any], name: str) -> Any:
     found = next((values[key] for key in (*keys, "D", "d") if values.get(key) is not None), None)
     if found is None and "k1" in values:
         found = [values.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
-    coefficients = np.zeros(0) if found is None else _numbers(found)
+    coefficients = np.zeros(0) if found is None else _numbers(found, "distortion")
     model = str(values.get("distortion_model", values.get("model", ""))).lower().rsplit(".", 1)[-1]
     model = model.removeprefix("distortion_").replace(" ", "_")
     if model not in MODELS and np.any(coefficients != 0):
@@ -131,24 +154,51 @@ def _distortion(values: Mapping[str, Any], name: str) -> Any:
 def _size(values: Mapping[str, Any]) -> tuple[int, int] | None:
     for names in (("width", "height"), ("image_width", "image_height"), ("image_Width", "image_Height")):
         if all(values.get(key) is not None for key in names):
-            return int(values[names[0]]), int(values[names[1]])
+            return _pixels(values[names[0]], names[0]), _pixels(values[names[1]], names[1])
     return None
+
+
+def _pixels(value: Any, key: str) -> int:
+    length = _number(value, key)
+    if not length.is_integer():
+        raise ValueError(f"{key} must be a whole number of pixels, got {value!r}")
+    return int(length)
 
 
 def _depth_scale(values: Mapping[str, Any]) -> float | None:
     """Return the length of a unit of depth [m].
 
-    ``depth_scale`` is the reciprocal in Open3D's files, and millimetres in BOP's.
+    ``depth_scale`` is the reciprocal in Open3D's files, and millimetres in BOP's. A unit by name, such as "mm" or
+    "0.1 mm", says itself what it is.
     """
-    if values.get("metres_per_unit") is not None:
-        return float(values["metres_per_unit"])
-    if values.get("depth_units") is not None:  # librealsense
-        return float(values["depth_units"])
-    if values.get("depth_scale") is None:
+    key = next((key for key in ("metres_per_unit", "depth_units", "depth_scale") if values.get(key) is not None), None)
+    if key is None:
         return None
-    scale = float(values["depth_scale"])
-    if "intrinsic_matrix" in values:
-        return 1 / scale
-    if "ppx" in values:  # RealSense's SDK states metres
+    if isinstance(values[key], str) and (named := _named_length(values[key], key)) is not None:
+        return named
+    scale = _number(values[key], key)
+    if not 0 < scale < np.inf:
+        raise ValueError(f"{key} must be positive and finite, got {values[key]!r}")
+    if key != "depth_scale" or "ppx" in values:  # RealSense's SDK states metres
         return scale
-    return scale / 1000
+    return 1 / scale if "intrinsic_matrix" in values else scale / 1000
+
+
+def _named_length(text: str, key: str) -> float | None:
+    """Return a length [m] with the name of its unit, "mm" or "0.1 mm"; None for a number without one.
+
+    Raises:
+        ValueError: The text is neither.
+    """
+    found = _LENGTH.fullmatch(text)
+    unit = "" if found is None else found["unit"].lower()
+    if found is None or (unit and unit not in _METRES):
+        raise ValueError(
+            f"{key} must be a number, or a length such as 'mm' or '0.1 mm' in one of {', '.join(_METRES)}, got {text!r}"
+        )
+    if not unit:
+        return None
+    length = _number(found["number"] or 1.0, key) * _METRES[unit]
+    if not 0 < length < np.inf:
+        raise ValueError(f"{key} must be positive and finite, got {text!r}")
+    return length

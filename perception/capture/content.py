@@ -15,6 +15,7 @@ from perception.capture.damage import decoding
 from perception.capture.images import grey_image, read_raw
 from perception.capture.pcd import read_pcd
 from perception.capture.ply import read_ply
+from perception.capture.text_files import read_text
 
 POINT_KEYS = ("points", "xyz", "points_cam", "cloud")  # names of an organised cloud in an NPZ file
 GREY_KEYS = ("grey", "gray", "image", "color", "colour", "rgb")  # names of a grey or colour image in an NPZ file
@@ -113,7 +114,7 @@ def _npz_content(path: Path) -> Content:
 
 
 def _json_content(path: Path) -> Content:
-    facts = json.loads(path.read_text(encoding="utf-8"))
+    facts = json.loads(read_text(path))
     if not (isinstance(facts, dict) and {"depth", "grey", "K"} <= set(facts)):
         raise ValueError(
             f"{path.name} must be a frame that write_frame wrote, with depth, grey and K: if it is a calibration, read "

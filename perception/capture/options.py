@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
+from perception.capture.calibration import require_length
 
 Axes = Literal["opencv", "opengl"]
 GreySource = Literal["image", "cloud", "none"]
@@ -37,10 +37,8 @@ class ReadOptions:
     quarter_turns: int = 0  # anticlockwise quarter turns of the image, after the crop
 
     def __post_init__(self) -> None:
-        if self.scale is not None and not 0 < self.scale < np.inf:
-            raise ValueError(
-                f"scale must be a positive length [m] per unit, got {self.scale} (--depth-scale on the command line)"
-            )
+        if self.scale is not None:
+            require_length("scale", self.scale, " (--depth-scale on the command line)")
         if self.fit not in ("same", "scale"):
             raise ValueError(f"fit must be 'same' or 'scale', got {self.fit!r}")
         if self.axes not in ("opencv", "opengl"):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from perception.capture._decoding_kernels import decompress_lzf
 from perception.capture.cloud import Cloud
 from perception.capture.colours import grey_of_channels, grey_of_packed
+from perception.capture.text_files import as_utf8, floats_of
 from perception.geometry import Floats, make_transform, matrix_from_quat
 
 KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -59,7 +60,7 @@ def read_pcd(path: Path) -> Cloud:
         FileNotFoundError: There is no such file.
         ValueError: The header or the points are not those of a PCD file.
     """
-    content = path.read_bytes()
+    content = as_utf8(path.read_bytes(), path.name)
     header = parse_header(content, path.name)
     body = content[header.start :]
     if header.data == "ascii":
@@ -145,7 +146,7 @@ def _ascii_fields(header: PcdHeader, body: bytes, name: str) -> dict[str, NDArra
         raise ValueError(
             f"{name} must hold {header.points} points of {columns} numbers, got {len(words)} numbers: is it complete?"
         )
-    table = np.array(words, dtype=np.float64).reshape(header.points, columns)
+    table = floats_of(words, name).reshape(header.points, columns)
     fields, column = {}, 0
     for field, kind, count in zip(header.names, header.types, header.counts, strict=True):
         part = table[:, column : column + count]

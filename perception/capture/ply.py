@@ -16,6 +16,7 @@ from perception.capture._decoding_kernels import list_starts
 from perception.capture.cloud import Cloud
 from perception.capture.colours import grey_of_channels
 from perception.capture.ply_header import PlyElement, PlyHeader, parse_ply_header
+from perception.capture.text_files import as_utf8, floats_of
 from perception.geometry import Floats
 
 Columns = dict[str, NDArray[Any]]
@@ -33,7 +34,7 @@ def read_ply(path: Path) -> Cloud:
         FileNotFoundError: There is no such file.
         ValueError: The file is no PLY file, is damaged, or states a grid that its vertices do not fill.
     """
-    content = path.read_bytes()
+    content = as_utf8(path.read_bytes(), path.name)
     header = parse_ply_header(content, path.name)
     vertices, cells = (_ascii if header.order == "" else _binary)(header, content[header.start :], path.name)
     points = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)
@@ -90,7 +91,7 @@ def _ascii(header: PlyHeader, body: bytes, name: str) -> tuple[Columns, NDArray[
         end = at + element.count * len(element.properties)
         _require(name, element, end <= len(words))
         if element.name == "vertex":
-            table = np.array(words[at:end], np.float64).reshape(element.count, len(element.properties))
+            table = floats_of(words[at:end], name).reshape(element.count, len(element.properties))
             for column, (key, kind) in enumerate(element.properties):
                 numbers = table[:, column]
                 vertices[key] = (np.nan_to_num(numbers) if kind[0] in "iu" else numbers).astype(kind)

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 from perception.capture import is_recording
+from perception.capture.text_files import read_text
 
 STEM = "{stem}"  # stands for the frame's file name without its suffix
 SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy", ".npz", ".pcd", ".ply")  # formats of one frame a file
@@ -52,7 +53,7 @@ def frames_in(folder: Path, *, grey: str | None = None, calibration: Path | None
 def _images_of(path: Path) -> set[Path] | None:
     """Return the images that a JSON file of a frame names; None for a JSON file of something else."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path))
     except (ValueError, OSError):
         return set()
     if not (isinstance(content, dict) and set(content) >= _FRAME_KEYS):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from perception.capture.text_files import read_text
 from perception.geometry import Floats, require_rigid
 
 _OPTIONS = {"T_world_bin": "--bin-pose", "T_world_cam": "--camera-pose", "T_world_base": "--robot-base"}
@@ -52,7 +53,7 @@ def _stored_pose(path: Path, name: str) -> object:
             f"{name}: there is no file {path}; give a JSON file, or 16 numbers row by row{_option(name)}"
         )
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path))
     except ValueError as error:
         raise ValueError(f"{name}: {path} is no JSON file: {error}") from error
     if isinstance(content, dict):

@@ -204,3 +204,71 @@ def test_a_binary_file_is_no_calibration(tmp_path: Path) -> None:
     np.save(tmp_path / "K.npy", np.eye(3))
     with pytest.raises(ValueError, match=r"K\.npy must be a calibration in JSON or YAML, got a binary file: write"):
         read_calibration(tmp_path / "K.npy")
+
+
+@pytest.mark.parametrize(
+    ("unit", "length"),
+    [
+        *[(name, 1.0) for name in ("m", "metre", "Meters", " M ")],
+        *[(name, 0.001) for name in ("mm", "millimetre", "Millimeters", "1 mm", "1.0mm")],
+        *[(name, 1e-6) for name in ("um", "\u00b5m", "\u03bcm", "micrometre")],
+        ("0.1 mm", 0.0001),
+        ("25e-2mm", 0.00025),
+        (".5 cm", 0.005),
+    ],
+)
+@pytest.mark.parametrize("form", ["realsense", "bop", "open3d"])
+@pytest.mark.parametrize("key", ["depth_scale", "depth_units", "metres_per_unit"])
+def test_a_unit_by_name_says_itself_what_it_is(tmp_path: Path, unit: str, length: float, form: str, key: str) -> None:
+    cameras = {
+        "realsense": {**FLAT, "ppx": CX, "ppy": CY},
+        "bop": {"cam_K": K.ravel().tolist()},
+        "open3d": {"intrinsic_matrix": K.T.ravel().tolist()},
+    }
+    assert read(tmp_path, "a.json", {**cameras[form], key: unit}).depth_scale == pytest.approx(length, rel=1e-12)
+
+
+def test_numbers_in_quotes_are_numbers(tmp_path: Path) -> None:
+    content = {"fx": str(FX), "fy": str(FY), "cx": str(CX), "cy": str(CY), "width": "640", "height": "480.0"}
+    calibration = read(tmp_path, "a.json", {**content, "depth_scale": "0.1"})
+    np.testing.assert_array_equal(calibration.K, K)
+    assert calibration.size == (640, 480)
+    assert calibration.depth_scale == pytest.approx(0.0001)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (
+            {"depth_scale": "inch"},
+            "depth_scale must be a number, or a length such as 'mm' or '0.1 mm' in one of m, ",
+        ),
+        ({"depth_scale": "1/1000"}, "depth_scale must be a number, or a length such as .* got '1/1000'"),
+        ({"depth_scale": "-1 mm"}, "depth_scale must be positive and finite, got '-1 mm'"),
+        ({"depth_scale": "1e"}, "depth_scale must be a number, got '1e'"),
+        ({"depth_scale": 0}, "depth_scale must be positive and finite, got 0"),
+        ({"depth_scale": float("nan")}, "depth_scale must be positive and finite, got nan"),
+        ({"depth_scale": [0.001]}, r"depth_scale must be a number, got \[0.001\]"),
+        ({"depth_scale": True}, "depth_scale must be a number, got True"),
+        ({"depth_units": {}}, r"depth_units must be a number, got \{\}"),
+        ({"fx": "wide"}, "fx must be a number, got 'wide'"),
+        ({"width": "full"}, "width must be a number, got 'full'"),
+        ({"width": 640.5}, "width must be a whole number of pixels, got 640.5"),
+        ({"distortion": ["k1"]}, r"distortion must be an array of numbers, got \['k1'\]"),
+        ({"T_world_cam": "base"}, "T_world_cam must be an array of numbers, got 'base'"),
+        ({"K": [["a"] * 3] * 3}, "K must be an array of numbers, got"),
+        ({"cam_R_w2c": "up", "cam_t_w2c": [0, 0, 1]}, "rotation must be an array of numbers, got 'up'"),
+        (
+            {"cam_R_w2c": [1, 2], "cam_t_w2c": [0, 0, 1]},
+            "rotation and translation must have 9 and 3 numbers, got 2",
+        ),
+    ],
+)
+def test_text_where_a_number_must_be_is_no_damage(tmp_path: Path, changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValueError, match=rf"^a\.json: {text}"):
+        read(tmp_path, "a.json", {**FLAT, "cx": CX, "cy": CY, **changes})
+
+
+def test_a_unit_in_yaml_may_be_a_name(tmp_path: Path) -> None:
+    text = f"fx: {FX}\nfy: {FY}\ncx: {CX}\ncy: {CY}\ndepth_scale: 0.1 mm\n"
+    assert read(tmp_path, "a.yaml", text).depth_scale == pytest.approx(0.0001)

@@ -77,7 +77,10 @@ def test_what_the_system_says_is_passed_on(tmp_path: Path) -> None:
         raise ValueError("a.xyz is bad")
 
 
-DECODERS = ("azure", "calibration_files", "content", "images", "pcd", "ply", "ply_header", "recordings", "ros_messages")
+DECODERS = (
+    *("azure", "calibration_files", "content", "images", "pcd", "ply", "ply_header", "recordings", "ros_messages"),
+    "text_files",
+)
 
 
 @pytest.mark.parametrize("module", DECODERS)

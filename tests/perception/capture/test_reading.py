@@ -237,6 +237,7 @@ def test_files_that_do_not_fit_together_are_refused(depth_file: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
+        ({"scale": "mm"}, r"scale must be a positive length \[m\] per unit, got mm"),
         ({"scale": 0.0}, r"scale must be a positive length \[m\] per unit, got 0\.0"),
         ({"fit": "crop"}, "fit must be 'same' or 'scale', got 'crop'"),
         ({"axes": "ros"}, "axes must be 'opencv' or 'opengl', got 'ros'"),
