@@ -1,6 +1,7 @@
 """Files of points alone: XYZ, text with labels, PLY and PCD."""
 
 import logging
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.capture.cloud import measured
+from perception.capture.damage import decoding
 from perception.capture.pcd import read_pcd
 from perception.capture.ply import read_ply
+from perception.capture.text_files import read_text
 from perception.geometry import Floats, require_shape
 from perception.instance import Instance, labels_of
 from perception.metrics.matching import SceneTruth
@@ -18,6 +21,10 @@ from perception.runtime.files import write_atomically
 TEXTS = (".xyz", ".txt", ".csv", ".asc", ".pts")  # suffixes of text files
 LEAST = 3  # number of points of the smallest cloud
 _LARGEST = 2**31 - 1  # label
+_SPACES = re.compile(r"(?<!,)\s+(?!,)")  # spaces beside a comma belong to it
+_DECIMAL = re.compile(r"[+-]?[0-9]*,?[0-9]*([eE][+-]?[0-9]+)?|[+-]?(nan|inf)", re.IGNORECASE)
+_WHOLE = re.compile(r"[+-]?[0-9]+")
+_FRACTION = re.compile(r"0[0-9]+")  # whole number that is what follows a decimal comma
 _log = logging.getLogger(__name__)
 
 
@@ -61,10 +68,11 @@ def read_points(path: Path) -> LabelledPoints:
     """Read a cloud of points.
 
     Text has a point in each line, ``x y z``, ``x y z label`` or ``x y z score label``, separated by spaces, tabs,
-    commas or semicolons. Labels count from 0, and negative ones stand for no part. Of lines of six or more numbers,
-    such as colours or normals, the first three are read. Empty lines, comments (``#`` and ``//``) and a line of names
-    at the top are skipped. So is a first line with one number, the number of points, which PTS files have: the
-    fourth of four numbers is then an intensity, and no label.
+    commas or semicolons. Commas within numbers that semicolons, tabs or spaces separate are decimal points
+    (``0,1;0,2;0,3``). Labels count from 0, and negative ones stand for no part. Of lines of six or more numbers, such
+    as colours or normals, the first three are read. Empty lines, comments (``#`` and ``//``) and a line of names at
+    the top are skipped. So is a first line with one number, the number of points, which PTS files have: the fourth of
+    four numbers is then an intensity, and no label.
 
     Args:
         path: PLY or PCD file, or text.
@@ -76,7 +84,8 @@ def read_points(path: Path) -> LabelledPoints:
     """
     suffix = path.suffix.lower()
     if suffix in (".ply", ".pcd"):
-        cloud = read_ply(path) if suffix == ".ply" else read_pcd(path)
+        with decoding(path):
+            cloud = read_ply(path) if suffix == ".ply" else read_pcd(path)
         found = LabelledPoints(points=cloud.points.reshape(-1, 3))
     elif suffix in TEXTS:
         found = _text(path)
@@ -105,32 +114,61 @@ def write_labels(path: Path, points: Floats, instances: list[Instance]) -> None:
     write_atomically(path, "\n".join(["# x y z score label", *lines, ""]))
 
 
+def _words(line: str) -> list[str]:
+    """Return the words of a line; commas between them separate, and those within them are decimal points.
+
+    Raises:
+        ValueError: Commas are both, or cannot be told apart.
+    """
+    if "," not in line:
+        return line.replace(";", " ").split()
+    fields = line.split(";") if ";" in line else _SPACES.split(line.strip())
+    fields = [field.strip() for field in fields if field.strip()]
+    if len(fields) < 2 or not any("," in field for field in fields):
+        words = line.replace(",", " ").replace(";", " ").split()
+        if all(_WHOLE.fullmatch(word) for word in words) and any(_FRACTION.fullmatch(word) for word in words):
+            raise ValueError("commas cannot be both decimal points and separators")  # 0,05,0,10,0,90
+        return words
+    if not all(_DECIMAL.fullmatch(field) for field in fields):
+        raise ValueError("commas must be decimal points or separators, not both")
+    return [field.replace(",", ".") for field in fields]
+
+
 def _text(path: Path) -> LabelledPoints:
     rows: list[list[float]] = []
     counted: float | None = None  # number of points that the file says it holds
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
-        words = line.split("#")[0].split("//")[0].replace(",", " ").replace(";", " ").split()
-        if not words:
+    skipped: str | None = None  # first line without numbers
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        content = line.split("#")[0].split("//")[0]
+        if not content.strip(" \t,;"):
             continue
+        where, shown = f"line {number} of {path.name}", repr(line.strip()[:60])
+        named = not rows and any(letter.isalpha() for letter in content)
         try:
-            row = [float(word) for word in words]
-        except ValueError:
-            if rows:
-                raise ValueError(f"line {number} of {path.name} must be numbers, got {line.strip()[:60]!r}") from None
+            row = [float(word) for word in _words(content)]
+        except ValueError as error:
+            if not named:
+                reason = f" ({error})" if "commas" in str(error) else ""
+                raise ValueError(f"{where} must be numbers{reason}, got {shown}: write 0.1 0.2 0.3") from None
             _log.info("%s: line %d is skipped: %s", path.name, number, line.strip()[:60])
+            skipped = skipped or shown
             continue
         if len(row) == 1 and not rows and counted is None:
             counted = row[0]
             if not (counted >= 0 and counted == np.floor(counted) < np.inf):
-                raise ValueError(
-                    f"line {number} of {path.name} must be the number of points, got {line.strip()[:60]!r}"
-                )
+                raise ValueError(f"{where} must be the number of points, got {shown}")
             continue
-        if rows and len(row) != len(rows[0]):
+        if len(row) == 1 and counted == len(rows) > 0 and len(rows[0]) > 1:
             raise ValueError(
-                f"line {number} of {path.name} must hold {len(rows[0])} numbers as the lines before, got {len(row)}"
+                f"{path.name} must hold one scan, got a second one of {row[0]:g} points from line {number} on, "
+                f"behind the {len(rows)} points of the first: split the file there, or, if both are in one "
+                "frame, remove the line and state the number of all points in the first one"
             )
+        if rows and len(row) != len(rows[0]):
+            raise ValueError(f"{where} must hold {len(rows[0])} numbers as the lines before, got {len(row)}")
         rows.append(row)
+    if not rows and skipped is not None:
+        raise ValueError(f"{path.name} must hold lines of numbers x y z, got none: its first line is {skipped}")
     width = len(rows[0]) if rows else 3
     values = np.array(rows, np.float64).reshape(-1, width)
     if width < 3:

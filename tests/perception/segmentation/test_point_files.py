@@ -49,6 +49,36 @@ def test_behind_a_number_of_points_the_fourth_number_is_an_intensity(tmp_path: P
     assert labelled.labels.tolist() == [-1, 0, 7, 7]
 
 
+@pytest.mark.parametrize("between", [";", "; ", "\t", " "])
+def test_commas_within_numbers_are_decimal_points(tmp_path: Path, between: str) -> None:
+    rows = [[*point, label] for point, label in zip(POINTS.tolist(), (2, -3, 0, 2), strict=True)]
+    lines = [between.join(str(value).replace(".", ",") for value in row) for row in rows]
+    found = read_points(written(tmp_path / "cloud.csv", "\n".join(["x;y;z;label", *lines])))
+    np.testing.assert_array_equal(found.points, POINTS)
+    assert found.labels is not None
+    assert found.labels.tolist() == [2, -1, 0, 2]
+    tiny = read_points(written(tmp_path / "tiny.csv", "1,5e-3;-2E1;nan\n" + "1;2;3\n" * 3))
+    np.testing.assert_array_equal(tiny.points[1:], [[1.0, 2.0, 3.0]] * 3)
+    assert read_points(written(tmp_path / "e.csv", "1,5e-3;-2E1;3\n" * 3)).points[0].tolist() == [0.0015, -20.0, 3.0]
+
+
+@pytest.mark.parametrize("line", ["1,2,3", "1, 2, 3", "1 , 2 ,3", "1,2,3;", "1;2;3", "1,\t2,\t3 "])
+def test_commas_between_numbers_separate(tmp_path: Path, line: str) -> None:
+    found = read_points(written(tmp_path / "cloud.csv", f"{line}\n" * 3))
+    np.testing.assert_array_equal(found.points, [[1.0, 2.0, 3.0]] * 3)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-32", "utf-8-sig"])
+def test_text_of_windows_is_read_by_its_byte_order_mark(tmp_path: Path, encoding: str) -> None:
+    text = "\n".join(" ".join(map(str, point)) for point in POINTS)
+    (tmp_path / "cloud.txt").write_text(text, encoding=encoding)
+    if encoding == "utf-16-le":
+        with pytest.raises(ValueError, match="must be text in UTF-8, got UTF-16 without a byte order mark: save it"):
+            read_points(tmp_path / "cloud.txt")
+    else:
+        np.testing.assert_array_equal(read_points(tmp_path / "cloud.txt").points, POINTS)
+
+
 def test_a_byte_order_mark_costs_no_point(tmp_path: Path) -> None:
     (tmp_path / "cloud.csv").write_text("\n".join(",".join(map(str, p)) for p in POINTS), encoding="utf-8-sig")
     np.testing.assert_array_equal(read_points(tmp_path / "cloud.csv").points, POINTS)
@@ -95,6 +125,18 @@ def test_the_truth_counts_every_labelled_part() -> None:
         ("cloud.xyz", "1\n1\n1\n", "lines of cloud.xyz must be x y z, x y z label .* got 1 numbers"),
         ("cloud.pts", "4\n" + "1 2 3\n" * 3, "cloud.pts must hold 4 points, as its first line says, got 3"),
         ("cloud.xyz", "1 2\n1 3\n", "lines of cloud.xyz must be x y z, x y z label .* got 2 numbers"),
+        (
+            "two.pts",
+            ("4\n" + "1 2 3\n" * 4) * 2,
+            "two.pts must hold one scan, got a second one of 4 points from line 6 on, behind the 4 points of the",
+        ),
+        ("cloud.pts", "4\n1 2 3\n4\n1 2 3\n", "line 3 of cloud.pts must hold 3 numbers as the lines before, got 1"),
+        ("cloud.csv", "0.1,2;0.3,4;5,6\n" * 3, "line 1 .* must be numbers .*decimal points or separators, not both"),
+        ("cloud.csv", "1.234,5;1;2\n" * 3, "line 1 .* must be numbers .*decimal points or separators, not both"),
+        ("cloud.csv", "0,05,0,10,0,90\n" * 3, "line 1 of cloud.csv must be numbers .commas cannot be both decimal"),
+        ("cloud.txt", "0.1|0.2|0.3\n" * 3, "line 1 of cloud.txt must be numbers, got '0.1|0.2|0.3': write 0.1 0.2"),
+        ("cloud.txt", "point one\npoint two\n", "must hold lines of numbers x y z, got none: its first line is 'point"),
+        ("cloud.txt", "1 2 3\0", "cloud.txt must be text in UTF-8, got a binary file: save it as text"),
         ("cloud.xyz", "1 2 3 0.5\n" * 3, "is the label and must be whole, got 0.5"),
         ("cloud.xyz", "1 2 3 1e30\n" * 3, r"is the label and must be whole, got 1e\+30"),
         ("cloud.pts", "-4\n" + "1 2 3\n" * 4, "line 1 of cloud.pts must be the number of points, got '-4'"),
