@@ -32,7 +32,7 @@ class Frame:
         grey: (H, W) uint8 grey image, registered to the depth; zeros if it is left out or None, for a camera that
             takes none.
         depth: (H, W) float32 depth along the optical axis [m]; 0 where there is no measurement. Values that are not
-            finite and positive, or at least `FARTHEST`, become 0.
+            finite and positive, or at least `FARTHEST`, or masked, become 0.
         K: (3, 3) camera matrix [px] of this image, pixel centres at integers.
         T_world_cam: (4, 4) camera pose, OpenCV axes; a rotation and a translation.
     """
@@ -45,6 +45,8 @@ class Frame:
     def __post_init__(self) -> None:
         for name in ("K", "T_world_cam"):
             object.__setattr__(self, name, as_floats(name, getattr(self, name)))
+        if isinstance(self.depth, np.ma.MaskedArray):
+            object.__setattr__(self, "depth", self.depth.filled(0))
         for name in ("grey", "depth"):
             object.__setattr__(self, name, np.asarray(getattr(self, name)))
         if self.grey.ndim == 0 or self.grey.size == 0 < self.depth.size:  # None becomes an array without dimensions

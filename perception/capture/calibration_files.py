@@ -56,6 +56,8 @@ def _decoded(path: Path, image_id: int | None, size: tuple[int, int] | None) -> 
         advice="write the camera matrix as JSON, such as "
         '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "width": 640, "height": 480}',
     )
+    if text.lstrip().startswith("<"):
+        raise ValueError(f"{path.name} must be a calibration in JSON or YAML, got XML: write it with OpenCV as .yaml")
     content = json.loads(text) if path.suffix.lower() == ".json" else parse_yaml(text)
     if not isinstance(content, dict):
         raise ValueError(f"{path.name} must hold named values, got a {type(content).__name__}")

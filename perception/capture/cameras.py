@@ -20,7 +20,7 @@ from perception.capture.images import grey_image
 from perception.capture.options import ReadOptions
 from perception.capture.reading import frame_of_content
 from perception.frame import Frame
-from perception.geometry import Floats
+from perception.geometry import Floats, as_floats
 
 _WAIT_MS = 5000  # longest wait for a frame of a RealSense camera [ms]
 
@@ -58,7 +58,7 @@ class PointsCamera:
         """
         grabbed = self.grab()
         points, image = grabbed if isinstance(grabbed, tuple) else (grabbed, None)
-        points = np.asarray(points, np.float64)
+        points = as_floats("points", points)
         if points.ndim != 3 or points.shape[2] != 3 or min(points.shape[:2]) < 2:
             raise ValueError(
                 f"grab must return an (H, W, 3) array of points, got {points.shape}: keep the image's grid"

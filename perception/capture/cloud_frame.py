@@ -1,5 +1,6 @@
 """From a cloud to the depth and grey image of a pinhole camera."""
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from perception.frame import FARTHEST
 from perception.geometry import Floats, invert_transform, transform_points
 
 STATED = 1.0  # largest root mean square residual of a cloud in the camera that the caller states [px]
+_log = logging.getLogger(__name__)
 FLIPPED = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera axes in OpenCV's, and the other way round
 
 
@@ -55,6 +57,12 @@ def images_of_cloud(
     """
     far: NDArray[np.bool_] = np.abs(cloud.points).max(axis=2) >= FARTHEST / scale
     if far.any():
+        if not (cloud.measured & ~far).any():
+            _log.warning(
+                "all points of the cloud lie %.0e m or more away and count as missing: is scale right (0.001 for "
+                "millimetres)? It is --depth-scale on the command line",
+                FARTHEST,
+            )
         cloud = replace(cloud, points=np.where(far[..., None], np.nan, cloud.points))
     points_cam, T_world_cam = _in_camera_frame(cloud, scale, axes)
     known = cloud.measured

@@ -1,5 +1,6 @@
 """Damaged files: whatever a decoder raises becomes one error that names the file."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,7 +33,8 @@ def decoding(path: Path) -> Iterator[None]:
         if isinstance(error, ValueError) and " must " in str(error):
             raise ValueError(f"{path.name}: {error}") from error
         said = f" of the format that {path.suffix} says" if path.suffix and not path.is_dir() else ""
+        advice = "correct it there, " if isinstance(error, json.JSONDecodeError) else ""
         raise ValueError(
             f"{path.name} must be a complete {'recording' if path.is_dir() else 'file'}{said}, but cannot be read "
-            f"({type(error).__name__}: {error}): copy it again, or save it anew"
+            f"({type(error).__name__}: {error}): {advice}copy it again, or save it anew"
         ) from error

@@ -1,6 +1,7 @@
 """How a frame is read, and what the reading found."""
 
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Literal
 
 from perception.capture.calibration import require_length
@@ -43,8 +44,21 @@ class ReadOptions:
             raise ValueError(f"fit must be 'same' or 'scale', got {self.fit!r}")
         if self.axes not in ("opencv", "opengl"):
             raise ValueError(f"axes must be 'opencv' or 'opengl', got {self.axes!r}")
-        if self.crop is not None and len(self.crop) != 4:
+        if self.missing is not None and not (isinstance(self.missing, tuple | list) and _are(Real, *self.missing)):
+            raise ValueError(f"missing must be a tuple of numbers, such as (0, 65535), got {self.missing!r}")
+        if self.crop is not None and not (len(self.crop) == 4 and _are(Real, *self.crop)):
             raise ValueError(f"crop must be (u0, v0, width, height) in pixels, got {self.crop}")
+        if self.grid is not None and not (len(self.grid) == 2 and _are(Integral, *self.grid) and min(self.grid) > 0):
+            raise ValueError(f"grid must be columns and rows, two positive whole numbers, got {self.grid}")
+        for name in ("index", "quarter_turns", "image_id"):
+            value = getattr(self, name)
+            if not (_are(Integral, value) or (name == "image_id" and value is None)):
+                raise ValueError(f"{name} must be a whole number, got {value!r}")
+
+
+def _are(kind: type, *values: object) -> bool:
+    """Return whether all values are numbers of a kind; truth values are none."""
+    return all(isinstance(value, kind) and not isinstance(value, bool) for value in values)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from perception.capture.options import ReadOptions, ReadReport
 from perception.capture.recordings import is_recording, recording_content, require_rosbags
 from perception.capture.undistortion import undistort
 from perception.frame import Frame
-from perception.geometry import Floats
+from perception.geometry import Floats, as_floats
 
 PathLike = str | Path
 Matrix = NDArray[np.floating] | Sequence[Sequence[float]]
@@ -167,7 +167,7 @@ def _calibration(
     elif given is None:
         camera = content.calibration
     else:
-        camera = given if isinstance(given, Calibration) else Calibration(K=np.asarray(given, np.float64))
+        camera = given if isinstance(given, Calibration) else Calibration(K=as_floats("K", given))
     if camera is not None and camera.depth_scale is None:
         camera = replace(camera, depth_scale=content.depth_scale)
     if camera is None or size is None or (content.cloud is not None and options.project):

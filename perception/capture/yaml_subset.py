@@ -36,6 +36,8 @@ def _lines(text: str) -> list[tuple[int, str]]:
         else:
             lines.append((len(raw) - len(raw.lstrip()), content))
         open_bracket = lines[-1][1].count("[") > lines[-1][1].count("]")
+    if open_bracket:
+        raise ValueError(f"a list of a calibration in YAML must end with ']', got {lines[-1][1][:60]!r} up to the end")
     return lines
 
 

@@ -58,6 +58,12 @@ def test_the_farthest_distance_is_that_of_the_readers(dtype: type) -> None:
     np.testing.assert_array_equal(seen.depth, metres(stored, None, ()))
 
 
+def test_masked_depths_are_no_measurements() -> None:
+    masked: np.ma.MaskedArray = np.ma.masked_greater(np.array([[0.5, 0.6, 4.0]]), 1.0)
+    seen = Frame(depth=masked, K=camera_matrix(5.0, 3, 1), T_world_cam=np.eye(4))
+    np.testing.assert_array_equal(seen.valid, [[True, True, False]])
+
+
 def test_depths_that_are_all_too_far_are_said(caplog: pytest.LogCaptureFixture) -> None:
     frame(depth=np.full(SHAPE, 1e38, np.float32))
     assert "all depths are 1e+06 m or more and count as missing: is their unit the metre?" in caplog.text

@@ -170,6 +170,17 @@ def test_an_azure_kinect_has_no_other_modes(tmp_path: Path) -> None:
             r"^a\.yaml: a line of a calibration in YAML must be 'key: value', got 'no map",
         ),
         ("a.yaml", "a: 1\n  b: 2", "must be 'key: value', got 'b: 2'"),
+        (
+            "a.yaml",
+            "camera_matrix: [600, 0, 3,\n 0, 600",
+            r"must end with '\]', got 'camera_matrix: \[600, 0, 3, 0, 600'",
+        ),
+        ("a.xml", "<?xml version='1.0'?>", r"a\.xml must be a calibration in JSON or YAML, got XML: write it with"),
+        (
+            "a.json",
+            '{"fx": 600,\n}',
+            r"a\.json must be .*\(JSONDecodeError: .* line \d column \d+ .*\): correct it there, copy",
+        ),
         ("a.json", "[1]", "a.json must hold named values, got a list"),
         ("a.json", "{}", r"a.json must hold a camera matrix as one of RealSense .*, got the keys \[\]"),
         (

@@ -44,6 +44,11 @@ def test_points_alone_have_no_grey_image() -> None:
     assert not PointsCamera(grab=points).capture().grey.any()
 
 
+def test_points_that_are_no_numbers_are_refused() -> None:
+    with pytest.raises(ValueError, match="points must be an array of numbers, got"):
+        PointsCamera(grab=lambda: np.full((3, 4, 3), "a")).capture()
+
+
 def test_points_without_a_grid_are_refused() -> None:
     with pytest.raises(ValueError, match=r"grab must return an \(H, W, 3\) array of points, got \(9, 3\): keep"):
         PointsCamera(grab=lambda: np.zeros((9, 3))).capture()

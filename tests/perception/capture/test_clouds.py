@@ -38,6 +38,15 @@ def test_points_that_no_camera_has_are_missing() -> None:
         assert got.unseen == wanted.unseen
 
 
+def test_a_cloud_that_is_all_too_far_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    points = scene_points().astype(np.float64)
+    stated = Calibration(K=K, size=(WIDTH, HEIGHT))
+    images(Cloud(points=points), stated, project=True)
+    assert caplog.text == ""
+    assert not images(Cloud(points=points), stated, project=True, scale=1e9).depth.any()
+    assert "all points of the cloud lie 1e+06 m or more away and count as missing: is scale right" in caplog.text
+
+
 def test_the_residual_is_the_noise_of_the_projections() -> None:
     rng = np.random.default_rng(0)
     u, v = np.meshgrid(np.arange(60.0), np.arange(50.0))

@@ -241,9 +241,32 @@ def test_files_that_do_not_fit_together_are_refused(depth_file: Path, tmp_path: 
         ({"scale": 0.0}, r"scale must be a positive length \[m\] per unit, got 0\.0"),
         ({"fit": "crop"}, "fit must be 'same' or 'scale', got 'crop'"),
         ({"axes": "ros"}, "axes must be 'opencv' or 'opengl', got 'ros'"),
+        ({"missing": 0}, r"missing must be a tuple of numbers, such as \(0, 65535\), got 0"),
+        ({"missing": "65535"}, r"missing must be a tuple of numbers, .*, got '65535'"),
+        ({"missing": (None,)}, r"missing must be a tuple of numbers, .*, got \(None,\)"),
+        ({"grid": (3,)}, r"grid must be columns and rows, two positive whole numbers, got \(3,\)"),
+        ({"grid": (0, 5)}, r"grid must be columns and rows, two positive whole numbers, got \(0, 5\)"),
+        ({"grid": (6.5, 3)}, r"grid must be columns and rows, two positive whole numbers, got \(6\.5, 3\)"),
+        ({"index": 1.5}, "index must be a whole number, got 1.5"),
+        ({"image_id": "a"}, "image_id must be a whole number, got 'a'"),
+        ({"quarter_turns": "1"}, "quarter_turns must be a whole number, got '1'"),
+        ({"crop": ("a", 0, 1, 1)}, r"crop must be \(u0, v0, width, height\) in pixels, got \('a', 0, 1, 1\)"),
         ({"crop": (1, 2)}, r"crop must be \(u0, v0, width, height\) in pixels, got \(1, 2\)"),
     ],
 )
 def test_options_are_checked(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         ReadOptions(**changes)
+
+
+def test_options_of_numpy_are_taken() -> None:
+    options = ReadOptions(
+        index=np.int64(2), grid=(np.int32(4), 3), missing=(np.float32(0), np.nan), scale=np.float32(1)
+    )  # type: ignore[arg-type]
+    assert options.index == 2
+
+
+def test_a_camera_matrix_that_is_none_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.ones((4, 6), np.float32))
+    with pytest.raises(ValueError, match=r"K must be an array of numbers, got \{'fx': 600\}"):
+        read_frame(tmp_path / "a.npy", calibration={"fx": 600})  # type: ignore[arg-type]
