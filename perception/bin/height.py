@@ -21,7 +21,8 @@ _ABOVE_SHARE = 0.5  # largest ratio of the cells just above a floor and on it: a
 def lowest_level(cloud: GridCloud, state: BinState, *, floor_seen: bool) -> float | None:
     """Return the height of the lowest level in a bin above its stated floor [m]; None if there is none.
 
-    Nothing is measured below a floor. It lies all over the bin, and nothing ends just above it.
+    Nothing is measured below a floor. It lies all over the bin, and nothing ends just above it. A level that is lower
+    than stated has more points than the stated one.
 
     Args:
         cloud: Points of the frame.
@@ -45,9 +46,15 @@ def lowest_level(cloud: GridCloud, state: BinState, *, floor_seen: bool) -> floa
         quarters = np.bincount(2 * (lowest[on, 0] > 0) + (lowest[on, 1] > 0), minlength=4)
         spread = np.count_nonzero(quarters >= _FEWEST_IN_QUARTER) >= 3
         if spread and np.count_nonzero(above) <= _ABOVE_SHARE * np.count_nonzero(on):
-            lower = float(np.mean(p[within, 2] < level - max(0.003, 4 * state.noise)))
-            hidden = level > 0 and (floor_seen or np.mean(on) < _RAISED_SHARE)
-            return None if lower > _LOWER_SHARE or hidden else level
+            gate = max(0.003, 4 * state.noise)
+            z = p[within, 2]
+            if np.mean(z < level - gate) > _LOWER_SHARE:
+                return None
+            if level > 0:
+                return None if floor_seen or np.mean(on) < _RAISED_SHARE else level
+            # Through a perforated floor, what it stands on is seen, too, but less of it.
+            more = np.count_nonzero(np.abs(z - level) <= gate) > np.count_nonzero(np.abs(z) <= gate)
+            return level if more else None
     return None
 
 

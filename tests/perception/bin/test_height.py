@@ -45,6 +45,17 @@ def test_the_measured_height_is_that_of_the_bin_in_which_poses_are_searched() ->
     np.testing.assert_array_equal(same.inner_size, right.inner_size)
 
 
+@pytest.mark.parametrize(("slat", "gap"), [(0.02, 0.01), (0.04, 0.005), (0.1, 0.01)])
+def test_what_a_perforated_floor_stands_on_is_not_its_floor(slat: float, gap: float) -> None:
+    starts = np.arange(-0.18, 0.18 - slat / 2, slat + gap).tolist()
+    slats = [((x, -0.13, -0.002), (min(x + slat, 0.18), 0.13, 0.0)) for x in starts]
+    ground: scene.Box = ((-2.0, -2.0, -0.2), (2.0, 2.0, -0.03))
+    fit = find_bin(AT.see([ground, *scene.walls()[1:], *slats]), scene.INNER, scene.workspace(AT))
+    assert fit.T_world_bin is not None
+    assert (invert_transform(AT.T_world_bin) @ fit.T_world_bin)[2, 3] == pytest.approx(0.0, abs=0.001)
+    np.testing.assert_array_equal(fit.inner_size, scene.INNER)
+
+
 def test_a_height_that_is_a_little_too_large_may_be_flat_parts_and_is_said() -> None:
     believed = scene.workspace(AT, stated(height=0.006))
     fit = find_bin(AT.see(EMPTY), believed.inner_size, believed)
