@@ -164,10 +164,11 @@ class PoseEstimator:
             return np.inf if clash else self.penalty(T_cam_part, frame)
 
         noise = self._noise(frame)
+        config = self.config.at_noise(noise)
 
         def search(k: int) -> GroupSearch:
             group = self._thinned_group(boundary.only(instances[k].point_idx), index, frame, noise)
-            scorer = HypothesisScorer(self._models, group, self.config)
+            scorer = HypothesisScorer(self._models, group, config)
             found = GroupSearch(scorer, self.config, penalty, k)
             found.add(self._hypotheses(group, self.config.most_hypotheses))
             found.best()  # does the work here, on a thread of its own; the selection asks again
@@ -221,9 +222,10 @@ class PoseEstimator:
         if len(boundary) == 0:
             return []
         scene = self._thinned_group(boundary, self._index(boundary), frame, self._noise(frame))
+        config = self.config.at_noise(scene.noise)
         found: list[tuple[HypothesisScorer, ScoredHypothesis]] = []
         for T_cam_part in self._hypotheses(scene, self.config.scene_hypotheses):
-            scorer = HypothesisScorer(self._models, self._points_near(T_cam_part, scene), self.config)
+            scorer = HypothesisScorer(self._models, self._points_near(T_cam_part, scene), config)
             hypothesis = scorer.refine_fully(T_cam_part)
             penalty = self.penalty(hypothesis.T_cam_part, frame)
             if np.isfinite(penalty):

@@ -1,6 +1,6 @@
 """All settings of the pose estimation."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from perception.pose.clustering import ClusterConfig
 from perception.pose.hypotheses.voting import VoteConfig
@@ -10,8 +10,13 @@ from perception.pose.model.pair_features import PairConfig
 from perception.pose.selection.bodies import BodyConfig
 from perception.pose.selection.leftovers import LeftoverConfig
 from perception.pose.verification.confidence import ConfidenceConfig
+from perception.pose.verification.joint_refinement import JointRefinement
 from perception.pose.verification.refinement import EdgeRefinement, SurfaceRefinement
-from perception.pose.verification.verification import VerificationConfig
+from perception.pose.verification.verification import TOLERANCE, VerificationConfig
+
+
+GATE = 3.0  # distance within which a refinement seeks matches, in standard deviations of the depth
+TOLERATED = 2.0  # gap with which two surfaces agree, in the same; with three, wrong poses agree nearly as well
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +33,7 @@ class EstimatorConfig:
         quick_edges: Coarse refinement of every hypothesis on boundary points.
         quick_surface: Coarse refinement of every hypothesis on the depth image.
         edge_refinement: Full refinement of the finalists on boundary points.
-        surface_refinement: Full refinement of the finalists on the depth image.
+        joint_refinement: Last refinement of the finalists, on edges in the image and on the depth at once.
         verification: Tolerances, and coefficients of the logit that hypotheses are ranked by.
         confidence: Coefficients of the score.
         bodies: Tolerances for collisions of parts with each other and with the bin.
@@ -51,7 +56,7 @@ class EstimatorConfig:
     quick_edges: EdgeRefinement = field(default_factory=lambda: EdgeRefinement(gates=(0.05, 0.03), iterations=4))
     quick_surface: SurfaceRefinement = field(default_factory=SurfaceRefinement)
     edge_refinement: EdgeRefinement = field(default_factory=EdgeRefinement)
-    surface_refinement: SurfaceRefinement = field(default_factory=SurfaceRefinement)
+    joint_refinement: JointRefinement = field(default_factory=JointRefinement)
     verification: VerificationConfig = field(default_factory=VerificationConfig)
     confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)
     bodies: BodyConfig = field(default_factory=BodyConfig)
@@ -73,3 +78,18 @@ class EstimatorConfig:
         for name in ("min_score", "sure"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be in [0, 1], got {getattr(self, name)}")
+
+    def at_noise(self, noise: float) -> "EstimatorConfig":
+        """Return these settings for a frame whose depth has a standard deviation of ``noise`` [m].
+
+        Gates narrower than three standard deviations are widened to them, and tolerances narrower than two.
+        """
+        finest = GATE * noise
+        tolerated = TOLERATED / TOLERANCE * noise
+        return replace(
+            self,
+            quick_edges=replace(self.quick_edges, finest=max(self.quick_edges.finest, finest)),
+            quick_surface=replace(self.quick_surface, finest=max(self.quick_surface.finest, finest)),
+            edge_refinement=replace(self.edge_refinement, finest=max(self.edge_refinement.finest, finest)),
+            verification=replace(self.verification, noise=max(self.verification.noise, tolerated)),
+        )

@@ -13,6 +13,7 @@ from perception.pose.model.appearances import EdgeAppearances
 from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.confidence import confidence, mismatch_penalty
+from perception.pose.verification.joint_refinement import refine_jointly
 from perception.pose.verification.mismatch import find_mismatch
 from perception.pose.verification.perturbation import score_drop
 from perception.pose.verification.refinement import refine_edges, refine_surface
@@ -77,7 +78,7 @@ class HypothesisScorer:
         Args:
             models: Models of the part that is searched for.
             group: Boundary points that a hypothesis has to explain, and the frame they are from.
-            config: Settings of refinement, verification and confidence.
+            config: Settings of refinement, verification and confidence, made for the noise of the frame.
         """
         self._models = models
         self._group = group
@@ -94,7 +95,8 @@ class HypothesisScorer:
         """Refine a (4, 4) pose to convergence with all model points, and score the result."""
         models, config = self._models, self._config
         edges_fitted = refine_edges(T_cam_part, models.edges, self._group.boundary, config.edge_refinement)
-        fitted = refine_surface(edges_fitted.T_cam_part, models.surface, self._group.frame, config.surface_refinement)
+        T_cam_part = edges_fitted.T_cam_part
+        fitted = refine_jointly(T_cam_part, models.edges, models.surface, self._group, config.joint_refinement)
         return self._scored(fitted.T_cam_part, final=True)
 
     def near_symmetric(self, hypothesis: ScoredHypothesis) -> list[ScoredHypothesis]:

@@ -1,6 +1,8 @@
 from .boundary_index import BoundaryIndex as BoundaryIndex
 from .boundary_index import index_boundary as index_boundary
 from .confidence import ConfidenceConfig as ConfidenceConfig
+from .joint_refinement import JointRefinement as JointRefinement
+from .joint_refinement import refine_jointly as refine_jointly
 from .refinement import EdgeRefinement as EdgeRefinement
 from .refinement import RefinedPose as RefinedPose
 from .refinement import SurfaceRefinement as SurfaceRefinement

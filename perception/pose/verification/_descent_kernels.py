@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from perception.geometry import Floats
 from perception.pose._transform_kernels import Singles, apply
-from perception.pose.verification._refine_kernels import line_equations, match_edges, plane_equations
+from perception.pose.verification._refine_kernels import (
+    line_equations,
+    match_edges,
+    plane_equations,
+    sight_equations,
+)
 
 MIN_MATCHES = 6  # one for each degree of freedom
 SETTLED = 2e-3  # share of d_max; a refinement has converged if its last step is shorter
@@ -141,3 +146,90 @@ def descend_surface(
         steps += 1
         settled = length < still
     return T, steps, count >= MIN_MATCHES and length < SETTLED, total, count
+
+
+@njit(cache=True, nogil=True)
+def descend_jointly(
+    T: Floats,
+    edge_points: Floats,
+    edge_tangents: Floats,
+    boundary: Floats,
+    boundary_tangents: Floats,
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    origin: Floats,
+    cell: float,
+    match_gate: float,
+    min_edge_cosine: float,
+    edge_gate: float,
+    edge_weight: float,
+    points: Floats,
+    normals: Floats,
+    visible: NDArray[np.bool_],
+    depth: Singles,
+    K: Floats,
+    surface_gate: float,
+    min_surface_cosine: float,
+    reach: int,
+    surface_weight: float,
+    centre: Floats,
+    d_max: float,
+    iterations: int,
+    damping: float,
+    observable: float,
+    still: float,
+) -> tuple[Floats, int, bool, float, int]:
+    """Minimise the weighted squares of distances of edges in the image and of samples from the measured surface.
+
+    The returned values are those of :func:`descend_edges`; the matches are those of both kinds.
+    """
+    pivot, length = np.zeros(3), np.inf
+    steps, settled = 0, False
+    while True:
+        # Matches and normal equations in the present pose.
+        matches = match_edges(
+            T,
+            edge_points,
+            edge_tangents,
+            boundary,
+            boundary_tangents,
+            starts,
+            shape,
+            origin,
+            cell,
+            match_gate,
+            min_edge_cosine,
+        )
+        pivot[0], pivot[1], pivot[2] = apply(T, centre[0], centre[1], centre[2])
+        edge_hessian, edge_gradient, edge_total, edge_count = sight_equations(
+            T, edge_points, matches, boundary, boundary_tangents, edge_gate, pivot, d_max / 2
+        )
+        hessian, gradient, total, count = plane_equations(
+            T,
+            points,
+            normals,
+            visible,
+            depth,
+            K,
+            surface_gate,
+            min_surface_cosine,
+            reach,
+            pivot,
+            d_max / 2,
+        )
+        both = edge_count + count
+        if settled or steps == iterations or both < MIN_MATCHES:
+            break
+        # One step; its length is that of the motion as a share of d_max.
+        weights = edge_weight * edge_count + surface_weight * count
+        motion = gauss_newton_step(
+            (edge_weight * edge_hessian + surface_weight * hessian) / weights,
+            (edge_weight * edge_gradient + surface_weight * gradient) / weights,
+            damping,
+            observable,
+        )
+        T = moved(T, motion, pivot, d_max / 2)
+        length = np.sqrt(np.sum(motion**2)) / d_max
+        steps += 1
+        settled = length < still
+    return T, steps, both >= MIN_MATCHES and length < SETTLED, edge_total + total, both

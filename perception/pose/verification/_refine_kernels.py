@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from perception.geometry import NEAR, Floats
 from perception.pose._transform_kernels import Ints, Singles, apply, rotate
 
+END_ON = 0.3  # sine of the angle between the line of sight and an edge up to which its place in the image says little
+
 
 @njit(cache=True, nogil=True)
 def match_edges(
@@ -64,6 +66,25 @@ def match_edges(
 
 
 @njit(cache=True, nogil=True)
+def _lever(
+    row: Floats, x: float, y: float, z: float, a: float, b: float, c: float, centre: Floats, arm: float
+) -> None:
+    """Write the row ``[(p - centre) / arm x n, n]`` of the Jacobian of a distance along the normal n = (a, b, c)."""
+    rx, ry, rz = (x - centre[0]) / arm, (y - centre[1]) / arm, (z - centre[2]) / arm
+    row[0], row[1], row[2] = ry * c - rz * b, rz * a - rx * c, rx * b - ry * a
+    row[3], row[4], row[5] = a, b, c
+
+
+@njit(cache=True, nogil=True)
+def _add(hessian: Floats, gradient: Floats, row: Floats, residual: float, weight: float) -> None:
+    """Add one weighted residual to the normal equations."""
+    for i in range(6):
+        gradient[i] += weight * row[i] * residual
+        for j in range(6):
+            hessian[i, j] += weight * row[i] * row[j]
+
+
+@njit(cache=True, nogil=True)
 def line_equations(
     T: Floats, points: Floats, matches: Ints, boundary: Floats, boundary_tangents: Floats, centre: Floats, arm: float
 ) -> tuple[Floats, Floats, float, int]:
@@ -105,6 +126,49 @@ def line_equations(
                 gradient[i] += jacobian[r, i] * residual[r]
                 for j in range(6):
                     hessian[i, j] += jacobian[r, i] * jacobian[r, j]
+        count += 1
+    return hessian, gradient, total, count
+
+
+@njit(cache=True, nogil=True)
+def sight_equations(
+    T: Floats,
+    points: Floats,
+    matches: Ints,
+    boundary: Floats,
+    boundary_tangents: Floats,
+    gate: float,
+    centre: Floats,
+    arm: float,
+) -> tuple[Floats, Floats, float, int]:
+    """Return the normal equations (6, 6), (6,) of distances seen in the image, their sum of squares [m^2], and the count.
+
+    The residual of a match is the distance of the posed point from the plane through the camera and the tangent of the
+    boundary point: that of an edge in the image, at the point's depth. The boundary point's own depth has no influence.
+    Distances e have Tukey's weight ``(1 - (e / gate)^2)^2``. Edges seen nearly end on are left out.
+    """
+    hessian, gradient, row = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    total, count = 0.0, 0
+    for m in range(len(points)):
+        k = matches[m]
+        if k < 0:
+            continue
+        # The unit normal of the plane, q x t.
+        qx, qy, qz = boundary[k, 0], boundary[k, 1], boundary[k, 2]
+        tx, ty, tz = boundary_tangents[k, 0], boundary_tangents[k, 1], boundary_tangents[k, 2]
+        a, b, c = qy * tz - qz * ty, qz * tx - qx * tz, qx * ty - qy * tx
+        length = np.sqrt(a * a + b * b + c * c)
+        if length < END_ON * np.sqrt(qx * qx + qy * qy + qz * qz):
+            continue
+        a, b, c = a / length, b / length, c / length
+        x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
+        residual = a * x + b * y + c * z
+        if abs(residual) >= gate:
+            continue
+        weight = (1.0 - (residual / gate) ** 2) ** 2
+        _lever(row, x, y, z, a, b, c, centre, arm)
+        _add(hessian, gradient, row, residual, weight)
+        total += residual * residual
         count += 1
     return hessian, gradient, total, count
 
@@ -219,15 +283,9 @@ def plane_equations(
         nx, ny, nz = measured_normal(depth, K, u, v, reach)
         if a * nx + b * ny + c * nz < min_cosine:
             continue
-        # The row [(p - centre) / arm x n, n] of the Jacobian, weighted.
-        rx, ry, rz = (x - centre[0]) / arm, (y - centre[1]) / arm, (z - centre[2]) / arm
-        row[0], row[1], row[2] = ry * c - rz * b, rz * a - rx * c, rx * b - ry * a
-        row[3], row[4], row[5] = a, b, c
         weight = (1.0 - (residual / gate) ** 2) ** 2
-        for i in range(6):
-            gradient[i] += weight * row[i] * residual
-            for j in range(6):
-                hessian[i, j] += weight * row[i] * row[j]
+        _lever(row, x, y, z, a, b, c, centre, arm)
+        _add(hessian, gradient, row, residual, weight)
         total += residual * residual
         count += 1
     return hessian, gradient, total, count

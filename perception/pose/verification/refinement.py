@@ -44,7 +44,7 @@ class EdgeRefinement:
     def __post_init__(self) -> None:
         if len(self.gates) == 0 or not all(0 < gate < np.inf for gate in self.gates):
             raise ValueError(f"gates must be positive and at least one, got {self.gates}")
-        _require_common(self.iterations, self.max_angle, self.damping, self.observable, self.still)
+        require_common(self.iterations, self.max_angle, self.damping, self.observable, self.still)
         if not 0 <= self.finest < np.inf:
             raise ValueError(f"finest must not be negative, got {self.finest}")
         if not 0 <= self.min_matched <= 1:
@@ -80,7 +80,7 @@ class SurfaceRefinement:
     def __post_init__(self) -> None:
         if len(self.gates) == 0 or not all(0 < gate < np.inf for gate in self.gates):
             raise ValueError(f"gates must be positive and at least one, got {self.gates}")
-        _require_common(self.iterations, self.max_angle, self.damping, self.observable, self.still)
+        require_common(self.iterations, self.max_angle, self.damping, self.observable, self.still)
         if not 0 <= self.finest < np.inf:
             raise ValueError(f"finest must not be negative, got {self.finest}")
         if self.reach < 1:
@@ -145,7 +145,7 @@ def refine_edges(
             config.still,
         )
         steps += taken
-    return _refined(T, total, count, steps, settled, config.min_matched * len(points))
+    return refined_pose(T, total, count, steps, settled, config.min_matched * len(points))
 
 
 def refine_surface(
@@ -189,7 +189,7 @@ def refine_surface(
             config.still,
         )
         steps += taken
-    return _refined(T, total, count, steps, settled, config.min_matched * np.count_nonzero(visible))
+    return refined_pose(T, total, count, steps, settled, config.min_matched * np.count_nonzero(visible))
 
 
 def view_direction(T_cam_part: Floats, centre: Floats) -> Floats:
@@ -218,8 +218,8 @@ def _posed(T: Floats, point: Floats) -> Floats:
     return posed
 
 
-def _refined(T: Floats, total: float, count: int, steps: int, settled: bool, wanted: float) -> RefinedPose:
-    """Return the result of a refinement that needs ``wanted`` matches to converge."""
+def refined_pose(T: Floats, total: float, count: int, steps: int, settled: bool, wanted: float) -> RefinedPose:
+    """Return the result of a refinement that needs ``wanted`` matches to converge; ``total`` is their sum of squares."""
     return RefinedPose(
         T_cam_part=T,
         error=float(np.sqrt(total / count)) if count else float("inf"),
@@ -229,7 +229,8 @@ def _refined(T: Floats, total: float, count: int, steps: int, settled: bool, wan
     )
 
 
-def _require_common(iterations: int, max_angle: float, damping: float, observable: float, still: float) -> None:
+def require_common(iterations: int, max_angle: float, damping: float, observable: float, still: float) -> None:
+    """Raise ``ValueError`` for nonsense in the settings that all refinements share."""
     if iterations < 1:
         raise ValueError(f"iterations must be at least 1, got {iterations}")
     if not 0 < max_angle <= np.pi / 2:

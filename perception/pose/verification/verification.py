@@ -13,6 +13,7 @@ from perception.pose.verification import _refine_kernels, _verification_kernels
 from perception.pose.verification.boundary_index import BoundaryIndex
 from perception.pose.verification.refinement import require_depth, require_pose, view_direction
 
+TOLERANCE = 3.0  # gap between two surfaces that agree, in standard deviations of the sensor's depth
 OCCLUSION_RADIUS = 2  # an edge point is occluded if everything measured within this window lies before it [px]
 
 
@@ -203,7 +204,7 @@ def ranking_logit(
 
 def surface_tolerance(d_max: float, config: VerificationConfig) -> float:
     """Return the largest distance between the model's surface and the measured one with which they agree [m]."""
-    return max(config.surface_distance * d_max, 3 * config.noise)
+    return max(config.surface_distance * d_max, TOLERANCE * config.noise)
 
 
 def _gaps(T: Floats, surface: SurfaceModel, frame: Frame, window: int) -> tuple[Floats, float]:

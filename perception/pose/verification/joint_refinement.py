@@ -1,0 +1,140 @@
+"""Refinement of a nearly right pose on the part's edges in the image and on the depth image at once.
+
+Each kind of distance is weighted by its noise. An edge in the image is known to about a pixel whatever the noise of the
+depth, and tells what a noisy depth does not: the two motions across the line of sight, and the rotation about it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from perception.geometry import Floats
+from perception.pose.model.appearances import SeenEdges
+from perception.pose.model.surface_models import SurfaceModel
+from perception.pose.verification import _descent_kernels
+from perception.pose.verification.refinement import (
+    RefinedPose,
+    refined_pose,
+    require_common,
+    require_depth,
+    require_pose,
+    view_direction,
+)
+from perception.pose.verification.verification import ObservedGroup
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointRefinement:
+    """Settings of the refinement on edges in the image and on the depth.
+
+    Attributes:
+        match_gate: Largest distance in space of an edge point and a boundary point that match, as a share of d_max.
+        edge_gates: Largest distance of a match across the line of sight in each stage, as a share of d_max.
+        surface_gate: Largest distance of a sample from the measured surface, as a share of d_max.
+        edge_noise: Standard deviation of an edge's place in the image [px]; the edge gates are at least three of them.
+        depth_noise: Least standard deviation of the depth [m]; more noise of a frame takes its place. The match gate is
+            at least four, the surface gate at least three of them.
+        independent: Share of the surface samples that count: neighbouring depths share their errors.
+        iterations: Largest number of steps in each stage.
+        max_edge_angle: Largest angle between the tangents of a match as lines [rad].
+        max_angle: Largest angle between the model's normal and the measured one [rad].
+        reach: Half the distance of the pixels whose difference gives the measured normal [px].
+        damping: Number added to each eigenvalue of the Hessian per weighted match.
+        observable: Eigenvalue of the same Hessian up to which a motion is left out of a step.
+        still: Length of a step that ends a stage, as a share of d_max.
+        min_matched: Share of the samples and edge points of the view that must be matched in the end.
+    """
+
+    match_gate: float = 0.03
+    edge_gates: tuple[float, ...] = (0.015, 0.0075, 0.005)
+    surface_gate: float = 0.02
+    edge_noise: float = 0.7
+    depth_noise: float = 0.0003
+    independent: float = 0.3
+    iterations: int = 8
+    max_edge_angle: float = float(np.deg2rad(25.0))
+    max_angle: float = float(np.deg2rad(40.0))
+    reach: int = 3
+    damping: float = 1e-4
+    observable: float = 1e-3
+    still: float = 1e-5
+    min_matched: float = 0.1
+
+    def __post_init__(self) -> None:
+        if len(self.edge_gates) == 0 or not all(0 < gate < np.inf for gate in self.edge_gates):
+            raise ValueError(f"edge_gates must be positive and at least one, got {self.edge_gates}")
+        for name in ("match_gate", "surface_gate", "edge_noise", "depth_noise"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if not 0 < self.independent <= 1:
+            raise ValueError(f"independent must be in (0, 1], got {self.independent}")
+        require_common(self.iterations, self.max_angle, self.damping, self.observable, self.still)
+        require_common(self.iterations, self.max_edge_angle, self.damping, self.observable, self.still)
+        if self.reach < 1:
+            raise ValueError(f"reach must be at least 1 px, got {self.reach}")
+        if not 0 <= self.min_matched <= 1:
+            raise ValueError(f"min_matched must be in [0, 1], got {self.min_matched}")
+
+
+def refine_jointly(
+    T_cam_part: Floats,
+    edges: SeenEdges,
+    surface: SurfaceModel,
+    group: ObservedGroup,
+    config: JointRefinement | None = None,
+) -> RefinedPose:
+    """Refine a nearly right pose by fitting the part's edges to the image and its surface to the depth.
+
+    An edge point is matched with the nearest boundary point of like tangent. Of their distance only what the image
+    shows is minimised, since a depth beside an outline may be that of another surface.
+
+    Args:
+        T_cam_part: (4, 4) initial pose, off by less than the first gates.
+        edges: Edge points of the part by direction of view.
+        surface: Samples of the part's surface.
+        group: Boundary points, frame and the noise of its depth.
+        config: Settings; the defaults of :class:`JointRefinement` if None.
+
+    Raises:
+        ValueError: The pose is not (4, 4) or not finite, or the frame has no depth.
+    """
+    config = config or JointRefinement()
+    T = require_pose(T_cam_part)
+    frame = group.frame
+    require_depth(frame)
+    d_max = surface.d_max
+    depth_noise = max(config.depth_noise, group.noise)
+    # What a pixel measures across the line of sight, at the part.
+    edge_noise = config.edge_noise * max(float(T[2, 3]), 0.0) / float(frame.K[0, 0])
+    steps, settled, total, count, wanted = 0, False, 0.0, 0, 0
+    for share in config.edge_gates:
+        points, tangents = edges.seen_from(view_direction(T, edges.centre))
+        visible = surface.visible(T)
+        T, taken, settled, total, count = _descent_kernels.descend_jointly(
+            T,
+            points,
+            tangents,
+            *group.boundary.arrays,
+            max(config.match_gate * d_max, 4 * depth_noise),
+            float(np.cos(config.max_edge_angle)),
+            max(share * d_max, 3 * edge_noise),
+            (depth_noise / max(edge_noise, 1e-9)) ** 2,
+            surface.points,
+            surface.normals,
+            visible,
+            frame.depth,
+            frame.K,
+            max(config.surface_gate * d_max, 3 * depth_noise),
+            float(np.cos(config.max_angle)),
+            config.reach,
+            config.independent,
+            surface.centre,
+            d_max,
+            config.iterations,
+            config.damping,
+            config.observable,
+            config.still,
+        )
+        steps += taken
+        wanted = len(points) + int(np.count_nonzero(visible))
+    return refined_pose(T, total, count, steps, settled, config.min_matched * wanted)
