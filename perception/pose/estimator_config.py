@@ -14,7 +14,6 @@ from perception.pose.verification.joint_refinement import JointRefinement
 from perception.pose.verification.refinement import EdgeRefinement, SurfaceRefinement
 from perception.pose.verification.verification import TOLERANCE, VerificationConfig
 
-
 GATE = 3.0  # distance within which a refinement seeks matches, in standard deviations of the depth
 TOLERATED = 2.0  # gap with which two surfaces agree, in the same; with three, wrong poses agree nearly as well
 

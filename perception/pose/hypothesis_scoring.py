@@ -156,6 +156,7 @@ class HypothesisScorer:
             size=len(self._group.points_cam),
             surface_score=confidence(verdict, elsewhere, np.inf, size, config.confidence, penalty),
             mismatch=mismatch,
+            noise=self._group.noise,
         )
 
     def _scored(self, T_cam_part: Floats, *, final: bool) -> ScoredHypothesis:

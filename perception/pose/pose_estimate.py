@@ -27,6 +27,7 @@ class PoseEstimate:
             ``score``. It tells which poses are likely enough to grasp at, and is no measure of their accuracy: a screw
             whose turn about its axis cannot be seen can still be picked.
         mismatch: What only the model or only the scene has in this pose; much of it lowers both scores.
+        noise: Standard deviation of the frame's depth [m]; much of it lowers both scores.
     """
 
     T_cam_part: Floats
@@ -39,6 +40,7 @@ class PoseEstimate:
     size: int
     surface_score: float
     mismatch: Mismatch = field(default_factory=Mismatch)
+    noise: float = 0.0
 
     def __post_init__(self) -> None:
         require_shape("T_cam_part", self.T_cam_part, (4, 4))

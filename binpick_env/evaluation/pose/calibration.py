@@ -8,12 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from binpick_env.evaluation.pose.record import VERDICT_COLUMNS, PoseRecord
+from binpick_env.evaluation.pose.record import DOUBT_COLUMNS, VERDICT_COLUMNS, PoseRecord
 from binpick_env.evaluation.pose.scene_score import PoseSceneScore
 from perception.geometry import Floats
 from perception.part import PartModel
-from perception.pose.verification.confidence import COEFFICIENTS, ConfidenceConfig, confidences, predictors
+from perception.pose.verification.confidence import (
+    COEFFICIENTS,
+    ConfidenceConfig,
+    confidences,
+    mismatch_penalty,
+    predictors,
+)
+from perception.pose.verification.mismatch import Mismatch
 
+MILLIMETRES = 1e3  # in a metre; the fit wants coefficients of like size
 PENALTY = 1e-4  # weight of the squared coefficients, which keeps the fit finite for separable samples
 
 
@@ -24,12 +32,16 @@ class Sample:
     Attributes:
         predictors: (E, 8) predictors of each pose, in the order of
             `perception.pose.verification.confidence.COEFFICIENTS`.
+        mismatch: (E,) term that structure which does not match adds to each pose's weighted sum, 0 or less.
+        noise: (E,) standard deviation of the depth of each pose's frame [m].
         correct: (E,) bool, whether the pose is correct for some part.
         to_find: (E,) bool, whether the pose is correct for a part with a visible fraction of at least 0.5.
         missed: Number of parts with a visible fraction of at least 0.5 that no pose is correct for.
     """
 
     predictors: Floats
+    mismatch: Floats
+    noise: Floats
     correct: NDArray[np.bool_]
     to_find: NDArray[np.bool_]
     missed: int
@@ -39,6 +51,8 @@ class Sample:
         """Concatenate samples."""
         return cls(
             predictors=np.concatenate([s.predictors for s in samples]),
+            mismatch=np.concatenate([s.mismatch for s in samples]),
+            noise=np.concatenate([s.noise for s in samples]),
             correct=np.concatenate([s.correct for s in samples]),
             to_find=np.concatenate([s.to_find for s in samples]),
             missed=sum(s.missed for s in samples),
@@ -51,11 +65,13 @@ def load_sample(folder: Path, part: PartModel, config: ConfidenceConfig | None =
     Args:
         folder: Folder of the records.
         part: Part that lies in the bins.
-        config: Limits to which margins and score drops are clipped; those of the default one unless given.
+        config: Limits to which margins and score drops are clipped, and weights of the mismatch; those of the default
+            one unless given.
 
     Raises:
         FileNotFoundError: There is no record.
         RecordError: A record is damaged.
+        ValueError: A record is of an older version, without mismatch and noise.
     """
     paths = sorted(folder.glob("scene_*.npz"))
     if not paths:
@@ -73,15 +89,27 @@ def _sample(record: PoseRecord, part: PartModel, config: ConfidenceConfig) -> Sa
         np.maximum(columns["size"], 1),
         config,
     )
+    if np.isnan(record.doubts).any():
+        raise ValueError("a record of an older version has neither mismatch nor noise; run binpick evaluate-pose again")
+    mismatch = [mismatch_penalty(Mismatch(patch=patch, stray=stray), 0.0, config) for patch, stray, _ in record.doubts]
     matches = score.all_poses
     to_find = np.zeros(len(score.scores), np.bool_)
     to_find[matches.pose_idx] = matches.correct & score.to_find[np.maximum(matches.matched_part, 0)]
     missed = int(np.count_nonzero(score.to_find & ~matches.found))
-    return Sample(predictors=found, correct=score.correct, to_find=to_find, missed=missed)
+    return Sample(
+        predictors=found,
+        mismatch=np.array(mismatch, np.float64),
+        noise=record.doubts[:, DOUBT_COLUMNS.index("noise")],
+        correct=score.correct,
+        to_find=to_find,
+        missed=missed,
+    )
 
 
 def fit_confidence(sample: Sample, start: ConfidenceConfig | None = None) -> ConfidenceConfig:
     """Fit a logistic regression of correctness by penalised maximum likelihood.
+
+    The weights of the mismatch are not fitted. The weight of the noise is, if a frame has more than the limit.
 
     Args:
         sample: Poses with their correctness.
@@ -94,18 +122,21 @@ def fit_confidence(sample: Sample, start: ConfidenceConfig | None = None) -> Con
     correct = sample.correct
     if correct.all() or not correct.any():
         raise ValueError(f"correct and wrong poses are needed, got {correct.sum()} correct of {len(correct)}")
-    X = np.column_stack([np.ones(len(correct)), sample.predictors])
+    excess = MILLIMETRES * np.maximum(sample.noise - start.noise, 0.0)
+    X = np.column_stack([np.ones(len(correct)), sample.predictors, excess])
     signs = np.where(correct, 1.0, -1.0)
 
     def loss(w: Floats) -> tuple[float, Floats]:
-        margins = signs * (X @ w)
+        margins = signs * (X @ w + sample.mismatch)
         weights = np.r_[0.0, w[1:]]
         gradient = -X.T @ (signs / (1 + np.exp(margins))) / len(X)
         return float(np.logaddexp(0, -margins).mean() + PENALTY * weights @ weights), gradient + 2 * PENALTY * weights
 
     found = minimize(loss, np.zeros(X.shape[1]), jac=True, method="BFGS").x
-    names = ("bias", *COEFFICIENTS)
-    return replace(start, **{name: round(float(value), 3) for name, value in zip(names, found, strict=True)})
+    fitted = {name: round(float(value), 3) for name, value in zip(("bias", *COEFFICIENTS), found[:-1], strict=True)}
+    if excess.any():
+        fitted["noise_weight"] = min(round(MILLIMETRES * float(found[-1])), 0.0)
+    return replace(start, **fitted)
 
 
 def plain_coefficients(config: ConfidenceConfig) -> dict[str, float]:
@@ -115,7 +146,8 @@ def plain_coefficients(config: ConfidenceConfig) -> dict[str, float]:
 
 def predicted_confidence(sample: Sample, config: ConfidenceConfig) -> Floats:
     """Return the (E,) confidence of each pose, in [0, 1]."""
-    return confidences(sample.predictors, config)
+    noise = config.noise_weight * np.maximum(sample.noise - config.noise, 0.0)
+    return confidences(sample.predictors, config, sample.mismatch + noise)
 
 
 def operating_points(sample: Sample, config: ConfidenceConfig, scores: Sequence[float]) -> list[tuple[float, ...]]:

@@ -180,6 +180,7 @@ def evaluate_pose_scene(config: PoseEvaluationConfig, index: int, threads: int =
         groups=np.array([e.instance_idx if e.instance_idx < groups else -1 for e in estimates], np.int64),
         estimated_fractions=np.array([estimate.visible_fraction for estimate in estimates], np.float64),
         verdicts=_verdicts(estimates),
+        doubts=np.array([[e.mismatch.patch, e.mismatch.stray, e.noise] for e in estimates], np.float64).reshape(-1, 3),
         verified=np.array(result.verified, np.bool_),
         pixels=scene.boundary.pixels,
         picture=frame.grey[v0:v1, u0:u1],

@@ -16,10 +16,11 @@ FORMAT = RecordFormat(kind="pose record", version=2, remedy="evaluate_pose makes
 STAGES = ("boundary", "surface", "segmentation", "pose", "trials", "explanation", "total")
 VERDICT = ("edge_score", "explained", "support", "violation", "measured")
 VERDICT_COLUMNS = (*VERDICT, "margin", "score_drop", "size")
+DOUBT_COLUMNS = ("patch", "stray", "noise")
 TRIALS = 3  # recognition trials in each scene, as in the paper
 _INTS = {"labels": np.int32, "explained": np.int32, "instance_ids": np.int16, "pixels": np.int16}  # stored types
 _PLAIN = ("confidences", "explained_confidences", "visible_fractions", "T_cam_parts", "trials", "poses", "scores")
-_ARRAYS = (*_INTS, *_PLAIN, "groups", "estimated_fractions", "verdicts", "verified", "picture", "K")
+_ARRAYS = (*_INTS, *_PLAIN, "groups", "estimated_fractions", "verdicts", "doubts", "verified", "picture", "K")
 _STORED_NAMES = {"estimated_fractions": "seen"}  # array names in the file that differ from the field's name
 
 
@@ -43,6 +44,8 @@ class PoseRecord:
         groups: (E,) int64 group that each pose was found in; -1 for the whole scene, and for what poses left over.
         estimated_fractions: (E,) visible fraction that the estimator assigns to each pose.
         verdicts: (E, 8) verification results of each pose, in the order of `VERDICT_COLUMNS`.
+        doubts: (E, 3) what lowers the score of each pose beside its verdict, in the order of `DOUBT_COLUMNS`; NaN in
+            records of older versions.
         verified: (E,) bool, whether the estimator returns the pose.
         pixels: (N, 2) int64 pixel (u, v) of each point.
         picture: (h, w) uint8 grey image around the bin; (0, 0) if it was not kept.
@@ -69,6 +72,7 @@ class PoseRecord:
     groups: NDArray[np.int64]
     estimated_fractions: Floats
     verdicts: Floats
+    doubts: Floats
     verified: NDArray[np.bool_]
     pixels: NDArray[np.int64]
     picture: NDArray[np.uint8]
@@ -82,6 +86,7 @@ class PoseRecord:
 
     def __post_init__(self) -> None:
         count, estimates = len(self.instance_ids), len(self.poses)
+        require_shape("doubts", self.doubts, (estimates, len(DOUBT_COLUMNS)))
         for name in ("labels", "explained"):
             require_shape(name, getattr(self, name), (count,))
         require_shape("pixels", self.pixels, (count, 2))
@@ -162,6 +167,8 @@ class PoseRecord:
 
     @classmethod
     def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "PoseRecord":
+        if "doubts" not in arrays:  # a record of an older version
+            arrays = arrays | {"doubts": np.full((len(arrays["poses"]), len(DOUBT_COLUMNS)), np.nan)}
         fields: dict[str, Any] = {name: arrays[_STORED_NAMES.get(name, name)] for name in _ARRAYS}
         return cls(
             **(fields | {name: fields[name].astype(np.int64) for name in _INTS}),

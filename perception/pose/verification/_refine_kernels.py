@@ -66,9 +66,7 @@ def match_edges(
 
 
 @njit(cache=True, nogil=True)
-def _lever(
-    row: Floats, x: float, y: float, z: float, a: float, b: float, c: float, centre: Floats, arm: float
-) -> None:
+def _lever(row: Floats, x: float, y: float, z: float, a: float, b: float, c: float, centre: Floats, arm: float) -> None:
     """Write the row ``[(p - centre) / arm x n, n]`` of the Jacobian of a distance along the normal n = (a, b, c)."""
     rx, ry, rz = (x - centre[0]) / arm, (y - centre[1]) / arm, (z - centre[2]) / arm
     row[0], row[1], row[2] = ry * c - rz * b, rz * a - rx * c, rx * b - ry * a
@@ -141,7 +139,7 @@ def sight_equations(
     centre: Floats,
     arm: float,
 ) -> tuple[Floats, Floats, float, int]:
-    """Return the normal equations (6, 6), (6,) of distances seen in the image, their sum of squares [m^2], and the count.
+    """Return the normal equations (6, 6), (6,) of distances in the image, their sum of squares [m^2], and the count.
 
     The residual of a match is the distance of the posed point from the plane through the camera and the tangent of the
     boundary point: that of an edge in the image, at the point's depth. The boundary point's own depth has no influence.

@@ -144,13 +144,13 @@ def predictors(
     return np.column_stack([verdicts, *clipped, np.log(sizes)])
 
 
-def confidences(predicted_by: Floats, config: ConfidenceConfig, penalty: float = 0.0) -> Floats:
+def confidences(predicted_by: Floats, config: ConfidenceConfig, penalty: float | Floats = 0.0) -> Floats:
     """Return the (E,) probability that each pose is right, from its (E, 8) :func:`predictors`.
 
     Args:
         predicted_by: (E, 8) predictors.
         config: Coefficients.
-        penalty: Term that is added to the weighted sums.
+        penalty: Term that is added to the weighted sums, one or (E,).
     """
     weighted = config.bias + predicted_by @ np.array([getattr(config, name) for name in COEFFICIENTS]) + penalty
     probability: Floats = 0.5 * (1 + np.tanh(weighted / 2))

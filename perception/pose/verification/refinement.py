@@ -219,7 +219,7 @@ def _posed(T: Floats, point: Floats) -> Floats:
 
 
 def refined_pose(T: Floats, total: float, count: int, steps: int, settled: bool, wanted: float) -> RefinedPose:
-    """Return the result of a refinement that needs ``wanted`` matches to converge; ``total`` is their sum of squares."""
+    """Return the result; ``total`` is the matches' sum of squares, and ``wanted`` of them are needed to converge."""
     return RefinedPose(
         T_cam_part=T,
         error=float(np.sqrt(total / count)) if count else float("inf"),

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from binpick_env.evaluation.pose.record import STAGES, VERDICT_COLUMNS, PoseRecord
+from binpick_env.evaluation.pose.record import DOUBT_COLUMNS, STAGES, VERDICT_COLUMNS, PoseRecord
 from binpick_env.parts import load_part
 from perception.geometry import Floats, make_transform, random_rotation, rotation_about
 from perception.part import PartModel
@@ -47,6 +47,7 @@ def record(**changes: Any) -> PoseRecord:
         "groups": np.arange(count),
         "estimated_fractions": np.array(VISIBLE),
         "verdicts": np.full((count, len(VERDICT_COLUMNS)), 0.5),
+        "doubts": np.zeros((count, len(DOUBT_COLUMNS))),
         "verified": np.ones(count, np.bool_),
         "pixels": np.column_stack([np.arange(len(ids)) % 40, np.arange(len(ids)) // 40]),
         "picture": np.zeros((0, 0), np.uint8),
@@ -71,5 +72,6 @@ def estimates(
         "groups": np.array(groups, np.int64),
         "estimated_fractions": np.ones(count),
         "verdicts": np.full((count, len(VERDICT_COLUMNS)), 0.5),
+        "doubts": np.zeros((count, len(DOUBT_COLUMNS))),
         "verified": np.ones(count, np.bool_) if verified is None else np.array(verified),
     }

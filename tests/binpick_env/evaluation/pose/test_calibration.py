@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from binpick_env.evaluation.pose.calibration import (
     Sample,
@@ -13,8 +14,9 @@ from binpick_env.evaluation.pose.calibration import (
     operating_points,
     predicted_confidence,
 )
-from binpick_env.evaluation.pose.record import VERDICT_COLUMNS
+from binpick_env.evaluation.pose.record import DOUBT_COLUMNS, VERDICT_COLUMNS
 from binpick_env.evaluation.segmentation.record import record_path
+from perception.geometry import Floats
 from perception.pose.verification.confidence import COEFFICIENTS, ConfidenceConfig
 from tests.binpick_env.evaluation.pose.pose_records import bracket, estimates, moved, record
 
@@ -41,7 +43,13 @@ def drawn(count: int = 40_000) -> Sample:
     predictors = rng.uniform(0, 1, (count, len(coefficients(TRUTH))))
     chance = 1 / (1 + np.exp(-(TRUTH.bias + predictors @ np.array(coefficients(TRUTH)))))
     right = rng.uniform(size=count) < chance
-    return Sample(predictors=predictors, correct=right, to_find=right, missed=0)
+    return sample_of(predictors, right)
+
+
+def sample_of(predictors: Floats, right: NDArray[np.bool_], missed: int = 0) -> Sample:
+    """Return a sample of good frames without mismatch."""
+    nothing = np.zeros(len(right))
+    return Sample(predictors=predictors, mismatch=nothing, noise=nothing, correct=right, to_find=right, missed=missed)
 
 
 def test_the_fit_recovers_the_coefficients_of_the_sample() -> None:
@@ -72,7 +80,7 @@ def test_operating_points_by_hand() -> None:
     predictors = np.ones((4, len(COEFFICIENTS)))
     predictors[:, 0] = (-2.0, -1.0, 1.0, 2.0)  # scores .12, .27, .73, .88
     right = np.array([False, True, False, True])
-    sample = Sample(predictors=predictors, correct=right, to_find=right, missed=2)
+    sample = sample_of(predictors, right, missed=2)
     points = operating_points(sample, config, (0.0, 0.5, 0.8, 0.95))
     assert [point[1] for point in points] == [4, 2, 1, 0]
     assert [point[2] for point in points[:3]] == [0.5, 0.5, 1.0]
@@ -87,18 +95,44 @@ def test_a_sample_is_loaded_from_records(tmp_path: Path) -> None:
     verdicts[:, VERDICT_COLUMNS.index("margin")] = (np.inf, -9.0, 0.5)
     verdicts[:, VERDICT_COLUMNS.index("score_drop")] = (-4.0, np.inf, 0.25)
     verdicts[:, VERDICT_COLUMNS.index("size")] = (1.0, np.e, 100.0)
-    changes = estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2]) | {"verdicts": verdicts}
+    doubts = np.zeros((3, len(DOUBT_COLUMNS)))
+    doubts[:, DOUBT_COLUMNS.index("patch")] = (0.0, 7.0, 4.0)
+    doubts[:, DOUBT_COLUMNS.index("noise")] = 0.002
+    changes = estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2]) | {"verdicts": verdicts, "doubts": doubts}
     record(**changes).save(record_path(tmp_path, 0))
     sample = load_sample(tmp_path, bracket())
     assert sample.correct.tolist() == [True, False, True]
     assert sample.to_find.tolist() == [True, False, False]  # the third part is hidden by more than half
     assert sample.missed == 1
+    np.testing.assert_allclose(sample.mismatch, [0.0, 2 * ConfidenceConfig().patch_weight, 0.0])  # 5 say nothing
+    assert sample.noise.tolist() == [0.002] * 3
     np.testing.assert_allclose(sample.predictors[:, :3], [[0.0, 0.2, 0.3]] * 3)
     np.testing.assert_allclose(sample.predictors[:, 3], [3.0, -3.0, 0.5])
     np.testing.assert_allclose(sample.predictors[:, 4], [1.0, -1.0, 0.5])
     np.testing.assert_allclose(sample.predictors[:, 5], [-3.0, 3.0, 0.25])
     np.testing.assert_allclose(sample.predictors[:, 6], [-1.0, 1.0, 0.25])
     np.testing.assert_allclose(sample.predictors[:, 7], [0.0, 1.0, np.log(100.0)])
+
+
+def test_a_record_of_an_older_version_is_refused(tmp_path: Path) -> None:
+    record(doubts=np.full((4, len(DOUBT_COLUMNS)), np.nan)).save(record_path(tmp_path, 0))
+    with pytest.raises(ValueError, match="of an older version has neither mismatch nor noise; run binpick"):
+        load_sample(tmp_path, bracket())
+
+
+def test_the_weight_of_the_noise_is_fitted_and_the_mismatch_is_not() -> None:
+    rng, clean = np.random.default_rng(1), drawn()
+    noise = rng.uniform(0.0, 0.003, len(clean.correct))
+    mismatch = np.where(rng.uniform(size=len(noise)) < 0.3, -2.0, 0.0)
+    truth = replace(TRUTH, noise=0.001, noise_weight=-900.0)
+    sample = replace(clean, noise=noise, mismatch=mismatch)
+    right = rng.uniform(size=len(noise)) < predicted_confidence(sample, truth)
+    found = fit_confidence(replace(sample, correct=right), truth)
+    np.testing.assert_allclose(coefficients(found), coefficients(TRUTH), atol=0.3)
+    assert found.noise_weight == pytest.approx(-900.0, abs=60.0)
+    # Where noise does not hurt it must not help either.
+    harmless = fit_confidence(replace(sample, correct=rng.permutation(right)), truth)
+    assert harmless.noise_weight <= 0
 
 
 def test_a_folder_without_records_is_named(tmp_path: Path) -> None:
