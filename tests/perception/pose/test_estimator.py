@@ -18,6 +18,7 @@ from perception.pose.estimator import PoseEstimator
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.confidence import ConfidenceConfig, confidence
+from perception.pose.verification.refinement import EdgeRefinement
 from perception.runtime.threads import use_threads
 from tests.perception.pose import observed_part as at
 from tests.perception.pose.estimator_scene import CONFIG, Scene, cloud, quick_estimator, scene_of
@@ -325,10 +326,10 @@ def test_a_moved_scene_moves_the_pose(seed: int) -> None:
 
 
 def test_as_many_hypotheses_are_refined_as_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[object] = []
+    asked: list[EdgeRefinement] = []
     refine = hypothesis_scoring.refine_edges
 
-    def counted(T: Floats, model: Any, boundary: Any, config: object) -> Any:
+    def counted(T: Floats, model: Any, boundary: Any, config: EdgeRefinement) -> Any:
         asked.append(config)
         return refine(T, model, boundary, config)  # type: ignore[arg-type]
 
@@ -339,11 +340,11 @@ def test_as_many_hypotheses_are_refined_as_are_asked_for(monkeypatch: pytest.Mon
     for sure, looked_at in ((1.0, 5), (0.1, 2)):
         asked.clear()
         quick_estimator(ELL, replace(config, sure=sure)).estimate_groups(scene.boundary, group, scene.frame)
-        assert [one is config.quick_edges for one in asked] == [True] * looked_at + [False] * 2
-        assert all(one is config.edge_refinement for one in asked[looked_at:])
+        assert [one.gates == config.quick_edges.gates for one in asked] == [True] * looked_at + [False] * 2
+        assert all(one.gates == config.edge_refinement.gates for one in asked[looked_at:])
     asked.clear()
     quick_estimator(ELL, config).estimate_scene(scene.boundary, scene.frame)
-    assert [one is config.edge_refinement for one in asked] == [True] * 3
+    assert [one.gates for one in asked] == [config.edge_refinement.gates] * 3
 
 
 def test_the_parts_models_are_made_with_the_settings(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -322,22 +322,28 @@ def test_the_score_drops_less_when_half_is_occluded(seed: int) -> None:
 def test_the_coarse_refinement_uses_fewer_points(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[int, float, bool]] = []
     refine_edges, refine_surface = hypothesis_scoring.refine_edges, hypothesis_scoring.refine_surface
+    refine_jointly = hypothesis_scoring.refine_jointly
 
     def edges(T: Floats, model: Any, boundary: Any, config: Any) -> Any:
-        asked.append((len(model.points), 0.0, config is looking.config.quick_edges))
+        asked.append((len(model.points), 0.0, config.gates == looking.config.quick_edges.gates))
         return refine_edges(T, model, boundary, config)
 
     def surface(T: Floats, model: Any, frame: Any, config: Any) -> Any:
-        asked.append((0, model.spacing, config is looking.config.quick_surface))
+        asked.append((0, model.spacing, config.gates == looking.config.quick_surface.gates))
         return refine_surface(T, model, frame, config)
+
+    def jointly(T: Floats, model: Any, surfaces: Any, group: Any, config: Any) -> Any:
+        asked.append((len(model.points), surfaces.spacing, False))
+        return refine_jointly(T, model, surfaces, group, config)
 
     monkeypatch.setattr(hypothesis_scoring, "refine_edges", edges)
     monkeypatch.setattr(hypothesis_scoring, "refine_surface", surface)
+    monkeypatch.setattr(hypothesis_scoring, "refine_jointly", jointly)
     looking = quick_estimator(ELL, replace(CONFIG, quick_step=3, quick_spacing=0.1, hypotheses=1, most_hypotheses=1))
     groups_of(scene_of(ELL, LEANING), looking)
     few, all_of_them = len(looking.appearances.every(3).points), len(looking.appearances.points)
     assert asked[:2] == [(few, 0.0, True), (0, pytest.approx(0.1 * ELL.d_max), True)]
-    assert asked[2:4] == [(all_of_them, 0.0, False), (0, pytest.approx(0.03 * ELL.d_max), False)]
+    assert asked[2:4] == [(all_of_them, 0.0, False), (all_of_them, pytest.approx(0.03 * ELL.d_max), False)]
 
 
 def test_nonsense_in_the_coarse_refinement_is_refused() -> None:
