@@ -60,7 +60,6 @@ def test_edges_in_the_image_hold_where_the_depth_is_noisy() -> None:
         edges = refine_edges(start, MODEL, group.boundary)
         last = refine_surface(edges.T_cam_part, SURFACE, group.frame)
         separate.append(1e3 * pose_error(last.T_cam_part, FROM_ABOVE, ELL).translation)
-    print(joint, separate)
     assert np.median(joint) < 0.5
     assert np.median(joint) < 0.7 * np.median(separate)
 
