@@ -13,6 +13,7 @@ from perception.pose._transform_kernels import Singles, apply
 from perception.pose.verification._refine_kernels import (
     line_equations,
     match_edges,
+    patch_equations,
     plane_equations,
     sight_equations,
 )
@@ -169,9 +170,7 @@ def descend_jointly(
     depth: Singles,
     K: Floats,
     surface_gate: float,
-    min_surface_cosine: float,
-    reach: int,
-    surface_weight: float,
+    patch: int,
     centre: Floats,
     d_max: float,
     iterations: int,
@@ -179,7 +178,7 @@ def descend_jointly(
     observable: float,
     still: float,
 ) -> tuple[Floats, int, bool, float, int]:
-    """Minimise the weighted squares of distances of edges in the image and of samples from the measured surface.
+    """Minimise the squares of the distances of edges in the image, weighted, and of patches of the depth image.
 
     The returned values are those of :func:`descend_edges`; the matches are those of both kinds.
     """
@@ -204,27 +203,17 @@ def descend_jointly(
         edge_hessian, edge_gradient, edge_total, edge_count = sight_equations(
             T, edge_points, matches, boundary, boundary_tangents, edge_gate, pivot, d_max / 2
         )
-        hessian, gradient, total, count = plane_equations(
-            T,
-            points,
-            normals,
-            visible,
-            depth,
-            K,
-            surface_gate,
-            min_surface_cosine,
-            reach,
-            pivot,
-            d_max / 2,
+        hessian, gradient, total, count = patch_equations(
+            T, points, normals, visible, depth, K, surface_gate, patch, pivot, d_max / 2
         )
         both = edge_count + count
         if settled or steps == iterations or both < MIN_MATCHES:
             break
         # One step; its length is that of the motion as a share of d_max.
-        weights = edge_weight * edge_count + surface_weight * count
+        weights = edge_weight * edge_count + count
         motion = gauss_newton_step(
-            (edge_weight * edge_hessian + surface_weight * hessian) / weights,
-            (edge_weight * edge_gradient + surface_weight * gradient) / weights,
+            (edge_weight * edge_hessian + hessian) / weights,
+            (edge_weight * edge_gradient + gradient) / weights,
             damping,
             observable,
         )

@@ -287,3 +287,57 @@ def plane_equations(
         total += residual * residual
         count += 1
     return hessian, gradient, total, count
+
+
+@njit(cache=True, nogil=True)
+def patch_equations(
+    T: Floats,
+    points: Floats,
+    normals: Floats,
+    visible: NDArray[np.bool_],
+    depth: Singles,
+    K: Floats,
+    gate: float,
+    radius: int,
+    centre: Floats,
+    arm: float,
+) -> tuple[Floats, Floats, float, int]:
+    """Return the normal equations (6, 6), (6,) of distances of patches, their sum of squares [m^2], and the count.
+
+    A sample's residual is the mean distance of the points measured within ``radius`` pixels of it from its tangent
+    plane, with Tukey's weight ``(1 - (e / gate)^2)^2``. It matches if at least half of them are within ``gate`` [m].
+    """
+    height, width = depth.shape
+    hessian, gradient, row = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    total, count, window = 0.0, 0, (2 * radius + 1) ** 2
+    for m in range(len(points)):
+        if not visible[m]:
+            continue
+        x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
+        if z <= NEAR:
+            continue
+        uf, vf = K[0, 0] * x / z + K[0, 2] + 0.5, K[1, 1] * y / z + K[1, 2] + 0.5
+        if not (radius <= uf < width - radius and radius <= vf < height - radius):
+            continue
+        a, b, c = rotate(T, normals[m, 0], normals[m, 1], normals[m, 2])
+        along = a * x + b * y + c * z
+        weights, mean, near = 0.0, 0.0, 0
+        for v in range(int(vf) - radius, int(vf) + radius + 1):
+            for u in range(int(uf) - radius, int(uf) + radius + 1):
+                zq = float(depth[v, u])
+                if zq <= 0.0:
+                    continue
+                residual = along - zq * (a * (u - K[0, 2]) / K[0, 0] + b * (v - K[1, 2]) / K[1, 1] + c)
+                if abs(residual) < gate:
+                    weight = (1.0 - (residual / gate) ** 2) ** 2
+                    weights += weight
+                    mean += weight * residual
+                    near += 1
+        if 2 * near < window:
+            continue
+        mean /= weights
+        _lever(row, x, y, z, a, b, c, centre, arm)
+        _add(hessian, gradient, row, mean, weights / window)
+        total += mean * mean
+        count += 1
+    return hessian, gradient, total, count

@@ -30,15 +30,14 @@ class JointRefinement:
     Attributes:
         match_gate: Largest distance in space of an edge point and a boundary point that match, as a share of d_max.
         edge_gates: Largest distance of a match across the line of sight in each stage, as a share of d_max.
-        surface_gate: Largest distance of a sample from the measured surface, as a share of d_max.
+        surface_gate: Largest distance of a measured point from the model's surface, as a share of d_max.
         edge_noise: Standard deviation of an edge's place in the image [px]; the edge gates are at least three of them.
         depth_noise: Least standard deviation of the depth [m]; more noise of a frame takes its place. The match gate is
             at least four, the surface gate at least three of them.
-        independent: Share of the surface samples that count: neighbouring depths share their errors.
+        patch: Measured points up to this far from a sample's pixel count as its surface [px]; their mean is less noisy
+            than one of them.
         iterations: Largest number of steps in each stage.
-        max_edge_angle: Largest angle between the tangents of a match as lines [rad].
-        max_angle: Largest angle between the model's normal and the measured one [rad].
-        reach: Half the distance of the pixels whose difference gives the measured normal [px].
+        max_angle: Largest angle between the tangents of a match as lines [rad].
         damping: Number added to each eigenvalue of the Hessian per weighted match.
         observable: Eigenvalue of the same Hessian up to which a motion is left out of a step.
         still: Length of a step that ends a stage, as a share of d_max.
@@ -50,11 +49,9 @@ class JointRefinement:
     surface_gate: float = 0.02
     edge_noise: float = 0.7
     depth_noise: float = 0.0003
-    independent: float = 0.3
+    patch: int = 2
     iterations: int = 8
-    max_edge_angle: float = float(np.deg2rad(25.0))
-    max_angle: float = float(np.deg2rad(40.0))
-    reach: int = 3
+    max_angle: float = float(np.deg2rad(25.0))
     damping: float = 1e-4
     observable: float = 1e-3
     still: float = 1e-5
@@ -66,12 +63,9 @@ class JointRefinement:
         for name in ("match_gate", "surface_gate", "edge_noise", "depth_noise"):
             if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        if not 0 < self.independent <= 1:
-            raise ValueError(f"independent must be in (0, 1], got {self.independent}")
         require_common(self.iterations, self.max_angle, self.damping, self.observable, self.still)
-        require_common(self.iterations, self.max_edge_angle, self.damping, self.observable, self.still)
-        if self.reach < 1:
-            raise ValueError(f"reach must be at least 1 px, got {self.reach}")
+        if self.patch < 0:
+            raise ValueError(f"patch must not be negative, got {self.patch}")
         if not 0 <= self.min_matched <= 1:
             raise ValueError(f"min_matched must be in [0, 1], got {self.min_matched}")
 
@@ -116,7 +110,7 @@ def refine_jointly(
             tangents,
             *group.boundary.arrays,
             max(config.match_gate * d_max, 4 * depth_noise),
-            float(np.cos(config.max_edge_angle)),
+            float(np.cos(config.max_angle)),
             max(share * d_max, 3 * edge_noise),
             (depth_noise / max(edge_noise, 1e-9)) ** 2,
             surface.points,
@@ -125,9 +119,7 @@ def refine_jointly(
             frame.depth,
             frame.K,
             max(config.surface_gate * d_max, 3 * depth_noise),
-            float(np.cos(config.max_angle)),
-            config.reach,
-            config.independent,
+            config.patch,
             surface.centre,
             d_max,
             config.iterations,

@@ -81,7 +81,7 @@ def test_the_surface_alone_and_the_edges_alone_are_enough_where_they_determine_t
     nothing = index_boundary(np.array([[0.0, 0.0, 9.0]]), np.array([[1.0, 0.0, 0.0]]), ELL.d_max)
     assert off(LEANING, replace(group, boundary=nothing), 0)[0] < 0.4
     far = at.framed(np.full_like(group.frame.depth, 2.0))
-    assert off(LEANING, replace(group, frame=far), 0, JointRefinement(independent=1e-3))[0] < 0.6
+    assert off(LEANING, replace(group, frame=far), 0)[0] < 0.6
 
 
 def test_a_pose_with_nothing_near_is_not_converged() -> None:
@@ -117,11 +117,9 @@ def test_bad_poses_and_frames_are_refused() -> None:
         ({"surface_gate": np.inf}, "surface_gate must be positive, got inf"),
         ({"edge_noise": -1.0}, "edge_noise must be positive, got -1"),
         ({"depth_noise": 0.0}, "depth_noise must be positive, got 0"),
-        ({"independent": 0.0}, r"independent must be in \(0, 1\], got 0"),
         ({"iterations": 0}, "iterations must be at least 1, got 0"),
         ({"max_angle": 2.0}, r"max_angle must be in \(0, pi/2\] rad, got 2"),
-        ({"max_edge_angle": 0.0}, r"max_angle must be in \(0, pi/2\] rad, got 0"),
-        ({"reach": 0}, "reach must be at least 1 px, got 0"),
+        ({"patch": -1}, "patch must not be negative, got -1"),
         ({"min_matched": 1.5}, r"min_matched must be in \[0, 1\], got 1.5"),
     ],
 )
