@@ -19,13 +19,23 @@ import cv2  # noqa: E402
 
 from perception.runtime.cache import digest  # noqa: E402
 from tests.chromium import chromium  # noqa: E402
-from tests.memory import give_back  # noqa: E402
+from tests.memory import end_file, give_back  # noqa: E402
 
 cv2.setNumThreads(1)
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("perception", "binpick_env", "policies")
 COMPILED = "binpick/kernels"  # digest of the kernels that an earlier session compiled, in pytest's cache
+# Files whose tests hold several cells at once.
+LARGE = (
+    "tests/test_shell_lines.py",
+    "tests/policies/selection/test_env.py",
+    "tests/policies/picking/test_fast_execution.py",
+    "tests/test_examples.py",
+    "tests/policies/commands/test_pick.py",
+    "tests/policies/commands/test_bench.py",
+    "tests/binpick_env/test_snapshot.py",
+)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -45,9 +55,13 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run the files with slow tests first, so that no process is left with one of them at the end."""
+    """Run the files with slow tests first, so that no process is left with one of them at the end.
+
+    Of these the large ones come first, while the processes are small.
+    """
+    large = {ROOT / name for name in LARGE}
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    items.sort(key=lambda item: (item.path not in large, item.path not in slow))
 
 
 def pytest_collection_finish() -> None:
@@ -56,10 +70,15 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-@pytest.fixture(autouse=True)
-def _memory_is_given_back() -> Iterator[None]:
-    yield
-    give_back()
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[None]:
+    """Give memory back when the fixtures of a test are gone; at the end of its file also what caches hold."""
+    result = yield
+    if nextitem is None or nextitem.path != item.path:
+        end_file()
+    else:
+        give_back()
+    return result
 
 
 @pytest.fixture(scope="module")
