@@ -26,10 +26,12 @@ cv2.setNumThreads(1)
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("perception", "binpick_env", "policies")
 COMPILED = "binpick/kernels"  # digest of the kernels that an earlier session compiled, in pytest's cache
-# Files whose tests hold several cells at once.
+# Files whose tests hold several cells at once, the longest first.
 LARGE = (
     "tests/test_shell_lines.py",
     "tests/policies/selection/test_env.py",
+    "tests/binpick_env/observation/test_pixel_perceiver.py",
+    "tests/policies/assessment/test_run.py",
     "tests/policies/picking/test_fast_execution.py",
     "tests/test_examples.py",
     "tests/policies/commands/test_pick.py",
@@ -59,9 +61,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
     Of these the large ones come first, while the processes are small.
     """
-    large = {ROOT / name for name in LARGE}
+    large = {ROOT / name: place for place, name in enumerate(LARGE)}
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (item.path not in large, item.path not in slow))
+    items.sort(key=lambda item: (large.get(item.path, len(large)), item.path not in slow))
 
 
 def pytest_collection_finish() -> None:

@@ -9,7 +9,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any
 
-GROWTH = 100e6  # growth of the process since memory was last given back, from which more is given back [bytes]
+GROWTH = 50e6  # growth of the process since memory was last given back, from which more is given back [bytes]
 FILE_GROWTH = 25e6  # the same at the end of a file of tests, when the cells that its tests shared are gone
 AMPLE = 900e6  # size of the process up to which caches are kept and freed memory is left for the next cell [bytes]
 _RESIDENT = Path("/proc/self/statm")
@@ -36,14 +36,14 @@ def give_back() -> None:
     """Free what nothing uses any more, if the process has grown; also what caches hold, if it is not small.
 
     A cell of 250 MB is made of few objects, so that the garbage collector does not start by itself. It takes a tenth
-    of a second, and is left alone where cells went without it.
+    of a second, and is left alone where the memory of cells that went is enough.
     """
     global _kept
     if _resident() > _kept + GROWTH:
-        if _resident() > AMPLE:
-            _empty_caches()
         _trim()
         if _resident() > _kept + GROWTH:
+            if _resident() > AMPLE:
+                _empty_caches()
             gc.collect()
             _trim()
         _kept = _resident()
