@@ -164,7 +164,7 @@ class PoseEstimator:
             return np.inf if clash else self.penalty(T_cam_part, frame)
 
         noise = self._noise(frame)
-        config = self.config.at_noise(noise)
+        config = self.config.at_noise(noise, self.part.d_max)
 
         def search(k: int) -> GroupSearch:
             group = self._thinned_group(boundary.only(instances[k].point_idx), index, frame, noise)
@@ -222,7 +222,7 @@ class PoseEstimator:
         if len(boundary) == 0:
             return []
         scene = self._thinned_group(boundary, self._index(boundary), frame, self._noise(frame))
-        config = self.config.at_noise(scene.noise)
+        config = self.config.at_noise(scene.noise, self.part.d_max)
         found: list[tuple[HypothesisScorer, ScoredHypothesis]] = []
         for T_cam_part in self._hypotheses(scene, self.config.scene_hypotheses):
             scorer = HypothesisScorer(self._models, self._points_near(T_cam_part, scene), config)

@@ -15,6 +15,7 @@ from perception.pose.verification.refinement import EdgeRefinement, SurfaceRefin
 from perception.pose.verification.verification import TOLERANCE, VerificationConfig
 
 GATE = 3.0  # distance within which a refinement seeks matches, in standard deviations of the depth
+NOISIEST = 0.05  # largest noise that widens them, as a share of d_max: a bin of small parts looks noisier than it is
 TOLERATED = 2.0  # gap with which two surfaces agree, in the same; with three, wrong poses agree nearly as well
 
 
@@ -78,11 +79,16 @@ class EstimatorConfig:
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be in [0, 1], got {getattr(self, name)}")
 
-    def at_noise(self, noise: float) -> "EstimatorConfig":
-        """Return these settings for a frame whose depth has a standard deviation of ``noise`` [m].
+    def at_noise(self, noise: float, d_max: float) -> "EstimatorConfig":
+        """Return these settings for a frame whose depth is noisy.
 
         Gates narrower than three standard deviations are widened to them, and tolerances narrower than two.
+
+        Args:
+            noise: Standard deviation of the depth [m]; no more than 5 % of ``d_max`` counts.
+            d_max: Diameter of the part [m].
         """
+        noise = min(noise, NOISIEST * d_max)
         finest = GATE * noise
         tolerated = TOLERATED / TOLERANCE * noise
         return replace(
@@ -90,5 +96,6 @@ class EstimatorConfig:
             quick_edges=replace(self.quick_edges, finest=max(self.quick_edges.finest, finest)),
             quick_surface=replace(self.quick_surface, finest=max(self.quick_surface.finest, finest)),
             edge_refinement=replace(self.edge_refinement, finest=max(self.edge_refinement.finest, finest)),
+            joint_refinement=replace(self.joint_refinement, depth_noise=max(self.joint_refinement.depth_noise, noise)),
             verification=replace(self.verification, noise=max(self.verification.noise, tolerated)),
         )

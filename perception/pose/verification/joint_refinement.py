@@ -32,8 +32,8 @@ class JointRefinement:
         edge_gates: Largest distance of a match across the line of sight in each stage, as a share of d_max.
         surface_gate: Largest distance of a measured point from the model's surface, as a share of d_max.
         edge_noise: Standard deviation of an edge's place in the image [px]; the edge gates are at least three of them.
-        depth_noise: Least standard deviation of the depth [m]; more noise of a frame takes its place. The match gate is
-            at least four, the surface gate at least three of them.
+        depth_noise: Standard deviation of the depth [m]. The match gate is at least four, the surface gate at least
+            three of them.
         patch: Measured points up to this far from a sample's pixel count as its surface [px]; their mean is less noisy
             than one of them.
         iterations: Largest number of steps in each stage.
@@ -86,7 +86,7 @@ def refine_jointly(
         T_cam_part: (4, 4) initial pose, off by less than the first gates.
         edges: Edge points of the part by direction of view.
         surface: Samples of the part's surface.
-        group: Boundary points, frame and the noise of its depth.
+        group: Boundary points and their frame.
         config: Settings; the defaults of :class:`JointRefinement` if None.
 
     Raises:
@@ -97,7 +97,6 @@ def refine_jointly(
     frame = group.frame
     require_depth(frame)
     d_max = surface.d_max
-    depth_noise = max(config.depth_noise, group.noise)
     # What a pixel measures across the line of sight, at the part.
     edge_noise = config.edge_noise * max(float(T[2, 3]), 0.0) / float(frame.K[0, 0])
     steps, settled, total, count, wanted = 0, False, 0.0, 0, 0
@@ -109,16 +108,16 @@ def refine_jointly(
             points,
             tangents,
             *group.boundary.arrays,
-            max(config.match_gate * d_max, 4 * depth_noise),
+            max(config.match_gate * d_max, 4 * config.depth_noise),
             float(np.cos(config.max_angle)),
             max(share * d_max, 3 * edge_noise),
-            (depth_noise / max(edge_noise, 1e-9)) ** 2,
+            (config.depth_noise / max(edge_noise, 1e-9)) ** 2,
             surface.points,
             surface.normals,
             visible,
             frame.depth,
             frame.K,
-            max(config.surface_gate * d_max, 3 * depth_noise),
+            max(config.surface_gate * d_max, 3 * config.depth_noise),
             config.patch,
             surface.centre,
             d_max,

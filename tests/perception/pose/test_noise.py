@@ -9,6 +9,7 @@ from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import make_transform, rotation_about
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.verification.confidence import ConfidenceConfig
+from perception.pose.verification.verification import surface_tolerance
 from tests.perception.pose import observed_part as at
 from tests.perception.pose.estimator_scene import quick_estimator, scene_of
 
@@ -53,3 +54,16 @@ def test_only_the_noise_in_the_bin_counts() -> None:
     depth = frame.depth.copy()
     depth[v0:v1, u0:u1] = scene.frame.depth[v0:v1, u0:u1]
     assert estimator._noise(replace(frame, depth=depth)) == estimator._noise(scene.frame) < estimator._noise(frame)
+
+
+def test_gates_and_tolerances_follow_the_noise_up_to_a_share_of_the_part() -> None:
+    plain = EstimatorConfig()
+    assert plain.at_noise(0.0, 0.1) == plain == plain.at_noise(0.0002, 0.1)
+    noisy = plain.at_noise(0.002, 0.1)
+    for refinement in (noisy.quick_edges, noisy.quick_surface, noisy.edge_refinement):
+        assert refinement.finest == pytest.approx(0.006)
+    assert noisy.joint_refinement.depth_noise == 0.002
+    assert surface_tolerance(0.1, noisy.verification) == pytest.approx(0.004)
+    assert surface_tolerance(0.1, plain.verification) == pytest.approx(0.002)
+    # A bin full of small round parts looks noisy: their curvature is not the sensor's.
+    assert plain.at_noise(0.002, 0.01) == plain.at_noise(0.0005, 0.01)

@@ -29,7 +29,7 @@ def seen(T: Floats, rng: np.random.Generator, noise: float = 0.0, along_ray: flo
     points = points * (1 + along_ray * rng.normal(size=(len(points), 1)) / at.DISTANCE)
     frame = at.look_at(at.placed(ELL, T), noise=noise)
     boundary = index_boundary(points, tangents, ELL.d_max)
-    return ObservedGroup(points_cam=points, tangents_cam=tangents, boundary=boundary, frame=frame, noise=noise)
+    return ObservedGroup(points_cam=points, tangents_cam=tangents, boundary=boundary, frame=frame)
 
 
 def off(T: Floats, group: ObservedGroup, seed: int, config: JointRefinement | None = None) -> tuple[float, float]:
@@ -55,7 +55,7 @@ def test_edges_in_the_image_hold_where_the_depth_is_noisy() -> None:
     joint, separate = [], []
     for seed in range(6):
         group = seen(FROM_ABOVE, np.random.default_rng(seed), noise=0.004, along_ray=0.004)
-        joint.append(off(FROM_ABOVE, group, seed)[0])
+        joint.append(off(FROM_ABOVE, group, seed, JointRefinement(depth_noise=0.004))[0])
         start = at.beside(FROM_ABOVE, ELL, np.random.default_rng(seed), 0.001, np.radians(2.0))
         edges = refine_edges(start, MODEL, group.boundary)
         last = refine_surface(edges.T_cam_part, SURFACE, group.frame)
@@ -92,10 +92,10 @@ def test_a_pose_with_nothing_near_is_not_converged() -> None:
     assert not refine_jointly(LEANING, MODEL, SURFACE, group, strict).converged
 
 
-def test_gates_follow_the_noise_of_the_frame() -> None:
+def test_gates_follow_the_noise() -> None:
     group = seen(LEANING, np.random.default_rng(4), noise=0.003)
-    told = refine_jointly(LEANING, MODEL, SURFACE, group)
-    untold = refine_jointly(LEANING, MODEL, SURFACE, replace(group, noise=0.0))
+    told = refine_jointly(LEANING, MODEL, SURFACE, group, JointRefinement(depth_noise=0.003))
+    untold = refine_jointly(LEANING, MODEL, SURFACE, group)
     assert told.inliers > 1.1 * untold.inliers
 
 
