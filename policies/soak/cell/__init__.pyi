@@ -1,0 +1,2 @@
+from .env import EnvSoak as EnvSoak
+from .select import SelectSoak as SelectSoak

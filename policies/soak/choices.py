@@ -1,0 +1,5 @@
+"""Names that the command line offers; it loads nothing heavy."""
+
+from typing import Literal
+
+SoakKind = Literal["env", "select", "fuzz", "kill"]
