@@ -1,0 +1,11 @@
+"""What a grammar is: it draws one input, and returns the call that gives it to the product."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from policies.soak.fuzz.samples import Samples
+
+Case = Callable[[], object]
+Grammar = Callable[[np.random.Generator, Samples, Path], Case]  # the folder is empty, and the case's alone
