@@ -29,6 +29,7 @@ def serve(connection: Connection, folder: Path, cache: Path) -> None:
         folder: Folder of the samples.
         cache: Cache folder of the packages in this process, which damaged parts shall not fill for others.
     """
+    os.setpgrp()  # so that whoever ends this process can end what it has started, too
     os.environ["BINPICK_CACHE"] = str(cache)
     cv2.setNumThreads(1)
     samples = Samples.in_folder(folder)

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import signal
 import time
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -91,15 +92,12 @@ class ChildKeeper:
         child, connection = self._child, self._connection
         assert child is not None
         assert connection is not None
-        if why:
-            child.kill()
-        else:
-            connection.close()
+        connection.close()  # which a child that waits for a case takes as the end
+        if not why:
             child.join(_DRAWING)
-            if child.is_alive():
-                child.kill()
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid or 0, signal.SIGKILL)
         child.join()
-        connection.close()
         self._child = self._connection = None
         code = child.exitcode or 0
         ended = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"

