@@ -22,7 +22,7 @@ _PICK, _SEE, _SELECT, _ROOMS, _MEASURE = (
     "segmentation and poses",
     "grasp selectors",
     "rooms (S3DIS)",
-    "speed and pictures",
+    "speed, robustness, pictures",
 )
 COMMANDS = (
     _command("pick", _PICK, "pick bins of a part, print success rates with intervals, write a report"),
@@ -44,5 +44,6 @@ COMMANDS = (
     _command("s3dis", _ROOMS, "prepare rooms, train and evaluate a row of the paper's table 1"),
     _command("s3dis-table", _ROOMS, "train and evaluate all four rows of the paper's table 1"),
     _command("bench", _MEASURE, "measure how fast the cell, perception and the selection environment run"),
+    _command("soak", _MEASURE, "look for crashes, leaks and half-written files in long runs"),
     _command("picture", _MEASURE, "draw a settled bin, or what perception makes of a frame"),
 )

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, cycle, islice
 
 import numpy as np
+from numpy.typing import NDArray
 
 from binpick_env.cell.robot import HOME
 from binpick_env.env import BinPickEnv
@@ -31,7 +32,7 @@ class HostileActions:
         self._above = [self._posture(workspace.T_world_bin, x, y, height + 0.1) for x, y in [(0.0, 0.0), *corners]]
         self._pressed = [self._posture(workspace.T_world_bin, 0.9 * x, 0.9 * y, -0.01) for x, y in corners]
 
-    def draw(self, rng: np.random.Generator) -> Iterator[Floats]:
+    def draw(self, rng: np.random.Generator) -> Iterator[NDArray[np.float32]]:
         """Yield actions without end, one kind of them after the other."""
         kinds: Sequence[Callable[[np.random.Generator], _Targets]] = (
             self._uniform,

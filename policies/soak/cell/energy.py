@@ -66,7 +66,7 @@ class DrivenParts:
             wider = driven | touching[driven].any(axis=0)
             wider[capacity + 1] = False
             if np.array_equal(wider, driven):
-                return driven[:capacity]
+                return np.array(driven[:capacity])
             driven = wider
 
 

@@ -64,8 +64,6 @@ def growth(settings: MemorySettings) -> float:
 def resident_mb() -> float:
     """Return the resident memory of this process [MB]."""
     (line,) = [
-        line
-        for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
-        if line.startswith("VmRSS:")
+        line for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines() if line.startswith("VmRSS:")
     ]
     return int(line.split()[1]) / 1024

@@ -51,7 +51,7 @@ class SelectSoak:
         count = -(-self.decisions // self.chunk)
         return [unit_name(self.parts[k % len(self.parts)], k) for k in range(count)]
 
-    def run(self, unit: str, folder: Path) -> UnitResult:
+    def run(self, unit: str, folder: Path) -> UnitResult:  # noqa: ARG002 - the form of a soak test
         """Make the decisions of a unit."""
         number = int(unit[:5])
         rng = np.random.default_rng([self.seed, number])

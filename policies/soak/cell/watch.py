@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from binpick_env.cell.simulation import Simulation
 from perception.geometry import Floats
 from policies.soak.cell.depth import DepthGauge
 from policies.soak.cell.energy import DrivenParts, EnergyMeter, set_control_callback
-
 
 REST = 5  # steps after the robot's last push from which a part counts as left alone; a contact gives way that long
 
@@ -105,7 +105,7 @@ class CellWatch:
         if not space.contains(observation):
             self._report("space", "the observation is outside its space")
 
-    def _judge(self, gains: Floats, in_play: Floats) -> None:
+    def _judge(self, gains: Floats, in_play: NDArray[np.bool_]) -> None:
         self.steps += 1
         simulation = self._simulation
         # The wake of a contact: a part that the robot hit at the end of a step flies off in the next.

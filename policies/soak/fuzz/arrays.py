@@ -14,7 +14,7 @@ from policies.soak.fuzz.grammar import Case
 from policies.soak.fuzz.samples import Samples
 
 
-def frame(rng: np.random.Generator, samples: Samples, folder: Path) -> Case:
+def frame(rng: np.random.Generator, samples: Samples, folder: Path) -> Case:  # noqa: ARG001 - the form of a grammar
     """A frame with one or two damaged fields, of which the boundary is then taken."""
     whole = samples.frame()
     values: dict[str, Any] = {name: getattr(whole, name) for name in ("grey", "depth", "K", "T_world_cam")}
@@ -26,7 +26,7 @@ def frame(rng: np.random.Generator, samples: Samples, folder: Path) -> Case:
     return lambda: extract_boundary(Frame(**values), samples.workspace)
 
 
-def intrinsics(rng: np.random.Generator, samples: Samples, folder: Path) -> Case:
+def intrinsics(rng: np.random.Generator, samples: Samples, folder: Path) -> Case:  # noqa: ARG001 - the form of a grammar
     """A camera matrix that is damaged, skewed, in other units, or that of another image."""
     K = samples.frame().K
     kinds = (
@@ -47,7 +47,7 @@ def intrinsics(rng: np.random.Generator, samples: Samples, folder: Path) -> Case
     )
 
 
-def pose(rng: np.random.Generator, samples: Samples, folder: Path) -> Case:
+def pose(rng: np.random.Generator, samples: Samples, folder: Path) -> Case:  # noqa: ARG001 - the form of a grammar
     """A bin or a camera whose pose is no rotation and translation, or in millimetres, or turned."""
     whole, workspace = samples.frame(), samples.workspace
     T = np.eye(4)
@@ -63,6 +63,4 @@ def pose(rng: np.random.Generator, samples: Samples, folder: Path) -> Case:
     size: Any = choose(rng, (workspace.inner_size, damaged_array(rng, workspace.inner_size), [0.3, 0.2], 0.3, "large"))
     if rng.random() < 0.5:
         return lambda: extract_boundary(whole, Workspace(T_world_bin=chosen, inner_size=size))
-    return lambda: extract_boundary(
-        Frame(grey=whole.grey, depth=whole.depth, K=whole.K, T_world_cam=chosen), workspace
-    )
+    return lambda: extract_boundary(Frame(grey=whole.grey, depth=whole.depth, K=whole.K, T_world_cam=chosen), workspace)

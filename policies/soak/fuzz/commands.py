@@ -71,7 +71,7 @@ def perceive_line(rng: np.random.Generator, samples: Samples, folder: Path) -> C
 
 
 def whole_perceive_line(samples: Samples, folder: Path) -> Case:
-    """Return a call of perceive on the example's files as they are, which computes what later calls find in the cache."""
+    """Return a call of perceive on the example's files as they are; it fills the cache for later calls."""
     for path in (samples.folder / "example").iterdir():
         shutil.copyfile(path, folder / path.name)
     words = ["perceive", "depth.png", "--calibration", "camera.json", "--grey", "grey.png", "--part", "part.stl"]

@@ -41,7 +41,8 @@ def damaged_bytes(rng: np.random.Generator, content: bytes) -> bytes:
         case 6:
             return rng.bytes(int(rng.integers(1, 9))) + content[8:]
         case _:
-            return choose(rng, (b"", b"\0" * 64, rng.bytes(256), b"PK\x03\x04" + content, content + rng.bytes(33)))
+            others = (b"", b"\0" * 64, rng.bytes(256), b"PK\x03\x04" + content, content + rng.bytes(33))
+            return others[int(rng.integers(len(others)))]
 
 
 def damaged_text(rng: np.random.Generator, text: str) -> str:
@@ -61,7 +62,8 @@ def damaged_json(rng: np.random.Generator, value: Any) -> Any:
 def damaged_array(rng: np.random.Generator, array: _Array) -> _Array:
     """Return an array with another type, shape, unit or order, or with values that mean nothing."""
     if array.dtype.kind not in "biufc":
-        return choose(rng, (np.array("teapot"), np.array(-1), np.array(1e30), array[None], np.zeros(0)))
+        others: tuple[_Array, ...] = (np.array("teapot"), np.array(-1), np.array(1e30), array[None], np.zeros(0))
+        return others[int(rng.integers(len(others)))]
     kinds: Sequence[Callable[[], _Array]] = (
         lambda: array.astype(choose(rng, _DTYPES)),
         lambda: np.asarray(array, np.float64) * choose(rng, (1000, 0.001, -1, 0, 1e20, np.nan, np.inf)),
@@ -92,7 +94,7 @@ def _other_number(rng: np.random.Generator, text: str) -> str:
     if not found:
         return text
     number = choose(rng, found)
-    return text[: number.start()] + choose(rng, NUMBERS) + text[number.end() :]
+    return f"{text[: number.start()]}{choose(rng, NUMBERS)}{text[number.end() :]}"
 
 
 def _other_word(rng: np.random.Generator, text: str) -> str:
@@ -100,7 +102,8 @@ def _other_word(rng: np.random.Generator, text: str) -> str:
     if not found:
         return text
     word, other = choose(rng, found), choose(rng, found)
-    return text[: word.start()] + choose(rng, ("", "teapot", other[0], word[0].upper())) + text[word.end() :]
+    instead = choose(rng, ("", "teapot", other[0], word[0].upper()))
+    return f"{text[: word.start()]}{instead}{text[word.end() :]}"
 
 
 def _other_lines(rng: np.random.Generator, text: str) -> str:

@@ -59,9 +59,7 @@ def _half_written(paths: set[Path]) -> Iterator[str]:
     for path in sorted(paths):
         if path.name.startswith("."):
             yield f"the draft {path.name} was left behind"
-        elif path.suffix == ".json" and not _is_json(path):
-            yield f"{path.name} is not whole"
-        elif path.suffix == ".npz" and not zipfile.is_zipfile(path):
+        elif not {".json": _is_json, ".npz": zipfile.is_zipfile}.get(path.suffix, Path.is_file)(path):
             yield f"{path.name} is not whole"
 
 

@@ -30,7 +30,7 @@ def scene(rng: np.random.Generator, samples: Samples, folder: Path) -> Case:
             arrays[name] = damaged_array(rng, arrays[name])
             if rng.random() < 0.2:
                 del arrays[name]
-        np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(path, **arrays)
     return lambda: BoundaryScene.load(path)
 
 
