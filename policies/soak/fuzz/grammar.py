@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from policies.soak.fuzz.samples import Samples
+if TYPE_CHECKING:
+    from policies.soak.fuzz.samples import Samples
 
 Case = Callable[[], object]
-Grammar = Callable[[np.random.Generator, Samples, Path], Case]  # the folder is empty, and the case's alone
+Grammar = Callable[[np.random.Generator, "Samples", Path], Case]  # the folder is empty, and the case's alone

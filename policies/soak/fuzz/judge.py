@@ -11,7 +11,8 @@ from typing import Literal
 from policies.soak.fuzz.grammar import Case
 
 Outcome = Literal["result", "refused", "failure"]
-_PACKAGES = tuple(str(Path(__file__).resolve().parents[3] / name) for name in ("perception", "binpick_env", "policies"))
+_ROOT = f"{Path(__file__).resolve().parents[3]}/"
+_PACKAGES = tuple(_ROOT + name for name in ("perception", "binpick_env", "policies"))
 _SHORTEST = 20  # length of the shortest message that can say what was required [characters]
 _LONGEST = 300  # length of a problem's text [characters]
 
@@ -50,7 +51,7 @@ def _verdict(error: Exception) -> Verdict:
     if isinstance(error, ValueError | OSError) and (ours or names_file) and len(text) >= _SHORTEST:
         return Verdict(outcome="refused", text=text[:_LONGEST])
     place = next((frame for frame in reversed(frames) if frame.filename.startswith(_PACKAGES)), frames[-1])
-    where = f"{'/'.join(Path(place.filename).parts[-3:])}:{place.lineno}"
+    where = f"{place.filename.removeprefix(_ROOT)}:{place.lineno}"
     return Verdict(outcome="failure", text=f"{type(error).__name__} at {where}: {text[:_LONGEST]}")
 
 

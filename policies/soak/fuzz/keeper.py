@@ -4,31 +4,34 @@ import multiprocessing
 import os
 import signal
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from policies.soak.fuzz.child import serve
 from policies.soak.fuzz.judge import Verdict
 
 LIMIT = 5.0  # time of a case [s]
 READY = 600.0  # time that a child may take to load everything [s]
 _DRAWING = 60.0  # time that the drawing of a case may take [s]
 _BUSY = 6  # factor of the limit for a child that gets no core, on a busy machine
+Program = Callable[[Connection, Path, Path], None]
 _TICK = os.sysconf("SC_CLK_TCK")
 
 
 class ChildKeeper:
     """Keeps one child process that judges cases."""
 
-    def __init__(self, folder: Path, limit: float = LIMIT) -> None:
+    def __init__(self, program: Program, folder: Path, limit: float = LIMIT) -> None:
         """Start no child yet.
 
         Args:
+            program: Function that the child runs, such as :func:`policies.soak.fuzz.child.serve`.
             folder: Folder of samples and cache.
             limit: Time that a case may take [s].
         """
+        self._program = program
         self._folder = folder
         self._limit = limit
         self._child: BaseProcess | None = None
@@ -63,7 +66,7 @@ class ChildKeeper:
             return self._child, self._connection
         context = multiprocessing.get_context("spawn")
         connection, theirs = context.Pipe()
-        child = context.Process(target=serve, args=(theirs, self._folder / "samples", self._folder / "cache"))
+        child = context.Process(target=self._program, args=(theirs, self._folder / "samples", self._folder / "cache"))
         child.start()
         theirs.close()
         self._child, self._connection = child, connection

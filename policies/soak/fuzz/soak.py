@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from policies.soak.choices import SoakKind
+from policies.soak.fuzz.child import serve
 from policies.soak.fuzz.grammars import GRAMMARS
 from policies.soak.fuzz.keeper import LIMIT, ChildKeeper
 from policies.soak.unit import UnitResult
@@ -46,7 +47,7 @@ class FuzzSoak:
 
     def run(self, unit: str, folder: Path) -> UnitResult:
         """Give the inputs of a unit to the product."""
-        keeper = self._keepers.setdefault(folder, ChildKeeper(folder))
+        keeper = self._keepers.setdefault(folder, ChildKeeper(serve, folder))
         counts = dict.fromkeys(("inputs", "results", "refused"), 0)
         problems = []
         for i in range(int(unit) * self.chunk, (int(unit) + 1) * self.chunk):

@@ -34,12 +34,18 @@ class SmallDisk:
 
 
 @contextmanager
-def small_disk(folder: Path, size: int) -> Iterator[SmallDisk]:
-    """Make a folder with room for ``size`` bytes, rounded up to whole pages, for the time of this context."""
+def small_disk(folder: Path, size: int, largest_file: int) -> Iterator[SmallDisk]:
+    """Make a folder with little room for the time of this context.
+
+    Args:
+        folder: Folder to make.
+        size: Room in a file system of its own [bytes], rounded up to whole pages.
+        largest_file: Size beyond which no file can be written where none can be mounted [bytes].
+    """
     folder.mkdir(parents=True, exist_ok=True)
     room = -(-size // _PAGE) * _PAGE
     if not _call("mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", str(folder)):
-        yield SmallDisk(folder, largest_file=max(size // 4, 1))
+        yield SmallDisk(folder, largest_file=largest_file)
         return
     try:
         yield SmallDisk(folder, largest_file=None)

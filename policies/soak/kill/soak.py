@@ -20,6 +20,7 @@ from policies.soak.unit import UnitResult
 
 EARLY = 0.15  # share of the kills at any moment from the start of the process on; the others are during its work
 DISKS, WRITERS = 5, 20  # after so many kills, a full disk, and two writers
+REHEARSALS = 2  # number of undisturbed runs; the last has a full cache, as the disturbed ones have
 _SHOWN = 3  # number of differing places that a problem names
 
 
@@ -105,8 +106,10 @@ class _Bench:
     def fill(self, job: KilledJob, rng: np.random.Generator) -> Found:
         """Run a job on a disk that has room for a part of its results."""
         reference, _ = self._reference(job)
-        size = sum(path.stat().st_size for path in reference.rglob("*") if path.is_file())
-        with self._work_folder() as work, small_disk(work / "disk", int(rng.uniform(0.1, 0.9) * size)) as disk:
+        sizes = [path.stat().st_size for path in reference.rglob("*") if path.is_file()]
+        room = float(rng.uniform(0.1, 0.9))
+        limits = int(room * sum(sizes)), max(int(room * max(sizes)), 1)
+        with self._work_folder() as work, small_disk(work / "disk", *limits) as disk:
             out = disk.folder / "out"
             ended = self._start(job, out, work, disk.largest_file).wait()
             problems = [f"on a full disk: {ended.complaint()}"] if ended.complaint() else []
@@ -148,7 +151,7 @@ class _Bench:
         if not kept.exists():
             if job.needs_scenes:
                 self._reference(SCENES)
-            for _ in range(2):  # the second one has a full cache, as the disturbed ones have
+            for _ in range(REHEARSALS):
                 with self._work_folder() as work:
                     started = time.monotonic()
                     ended = self._start(job, work / "out", work).wait()
