@@ -267,6 +267,12 @@ def check_table(line: Line) -> None:
     assert len(records) == len(ROWS) * line.args.seeds
 
 
+def check_soak(line: Line) -> None:
+    assert line.numbers("soak.json")["kinds"].keys() == {"env"}
+    assert {"env", "numbers"} <= set(line.label_lines())
+    assert "  steps   " in line.shown
+
+
 @dataclass(frozen=True, kw_only=True)
 class Tiny:
     """How a command of a shell line is run and checked.
@@ -320,5 +326,6 @@ TINY = {
     "s3dis prepare": Tiny(options={"--workers": 1}, check=check_prepare),
     "s3dis train": Tiny(options={**NETWORK, "--threads": 1}, check=check_train_row),
     "s3dis evaluate": Tiny(options={"--workers": 1}, check=check_evaluate_row),
+    "soak": Tiny(options={"--kind": "env", "--count": 1, "--resets": 0}, check=check_soak),
     "s3dis-table": Tiny(options={**NETWORK, "--seeds": 1, "--workers": 1}, check=check_table),
 }
