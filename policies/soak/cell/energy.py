@@ -1,4 +1,4 @@
-"""Kinetic energy of the parts, and which of them the robot drives."""
+"""Energy of the parts, and which of them the robot drives."""
 
 import mujoco
 import numpy as np
@@ -9,7 +9,7 @@ from perception.geometry import Floats, matrix_from_quat
 
 
 class EnergyMeter:
-    """Measures the kinetic energy of the parts, which all have the same mass and inertia."""
+    """Measures the mechanical energy of the parts, which all have the same mass and inertia."""
 
     def __init__(self, simulation: Simulation) -> None:
         """Look up where the parts' positions and velocities stand."""
@@ -20,17 +20,20 @@ class EnergyMeter:
         self._quat = np.array([joint.qposadr[0] for joint in joints])[:, None] + np.arange(3, 7)
         self._velocity = np.array([joint.dofadr[0] for joint in joints])[:, None] + np.arange(3)
         self._mass, self._centre = float(model.body_mass[body]), np.array(model.body_ipos[body])
+        self._gravity = -float(model.opt.gravity[2])
         self._R_body_axes = matrix_from_quat(model.body_iquat[body])
         self._inertia = np.array(model.body_inertia[body])
 
     def energies(self) -> Floats:
-        """Return the (capacity,) kinetic energies of the parts [J]."""
+        """Return the (capacity,) kinetic and potential energies of the parts together [J], which a fall keeps."""
         data = self._simulation.data
         R_world_body = matrix_from_quat(data.qpos[self._quat])
         velocity, spin = data.qvel[self._velocity], data.qvel[self._velocity + 3]  # in the world, and in the body
         of_centre = velocity + (R_world_body @ np.cross(spin, self._centre)[..., None])[..., 0]
         about_axes = spin @ self._R_body_axes
+        heights = data.qpos[self._quat[:, 0] - 1] + R_world_body[:, 2] @ self._centre
         energies: Floats = 0.5 * self._mass * (of_centre**2).sum(axis=1) + 0.5 * about_axes**2 @ self._inertia
+        energies += self._mass * self._gravity * heights
         return energies
 
 

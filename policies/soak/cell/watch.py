@@ -22,7 +22,7 @@ class Limits:
     """What a step may do at most."""
 
     depth: float = 0.002  # depth inside a wall or a floor of a part that the robot leaves alone [m]
-    gain: float = 1.0  # kinetic energy that a part gains in a step without the robot [J]
+    gain: float = 1.0  # energy that a part gains in a step without the robot, besides its fall [J]
 
 
 class CellWatch:
@@ -36,7 +36,7 @@ class CellWatch:
         steps: Number of steps.
         deepest: Largest depth inside a wall or a floor of a part that the robot leaves alone [m].
         pressed: Largest depth of any part, the robot's push included [m].
-        gain: Largest kinetic energy that a part gained in a step without the robot [J].
+        gain: Largest energy, kinetic and potential, that a part gained in a step without the robot [J].
         problems: One sentence for each rule that was broken; of one rule, the first of each episode.
     """
 
@@ -94,7 +94,7 @@ class CellWatch:
         return {
             "depth in walls and floors, left alone [mm]": 1000 * self.deepest,
             "depth in walls and floors, pushed [mm]": 1000 * self.pressed,
-            "kinetic energy gained, left alone [J]": self.gain,
+            "energy gained, left alone [J]": self.gain,
         }
 
     def judge_observation(self, observation: Mapping[str, Any], space: spaces.Space[Any]) -> None:

@@ -47,8 +47,9 @@ def _values(path: Path) -> Iterator[tuple[str, str]]:
         case ".json":
             yield from _flat(json.loads(path.read_text(encoding="utf-8")))
         case ".jsonl":
-            lines = path.read_text(encoding="utf-8").splitlines()
-            yield from _flat([json.loads(line) for line in lines])
+            rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+            # A resumed training may log its last step again; readers take the last line of a step.
+            yield from _flat({str(row.get("step", k)): row for k, row in enumerate(rows)})
         case ".csv":
             rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
             yield from _flat(rows)
