@@ -1,5 +1,6 @@
 from .cache import cache_folder as cache_folder
 from .cache import cached_arrays as cached_arrays
+from .field_types import require_field_types as require_field_types
 from .files import json_text as json_text
 from .files import replace_atomically as replace_atomically
 from .files import write_atomically as write_atomically

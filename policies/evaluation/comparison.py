@@ -129,6 +129,8 @@ def load_run(folder: Path) -> Run:
         digest, config = stored["hash"], stored["config"]
     except (ValueError, KeyError, TypeError) as error:
         raise ComparisonError(f"{path} is damaged") from error
+    if not isinstance(digest, str) or not isinstance(config, dict):
+        raise ComparisonError(f"{path} is damaged: its hash must be text, and its config an object")
     records = [load_record(each) for each in sorted(folder.glob("bin_*.json"))]
     own = {record.index: record for record in records if record.config_hash == digest}
     if not own:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from binpick_env.scenes.clutter import ClutterStats
+from perception.runtime.field_types import require_field_types
 from perception.runtime.records import RecordError, RecordFormat
 from policies.evaluation.failure_attribution import FailureStage, attribute_failure
 from policies.evaluation.frame_record import CandidateRecord, FrameRecord
@@ -200,7 +201,7 @@ def load_record(path: Path) -> BinRecord:
 
 def _bin(values: dict[str, Any]) -> BinRecord:
     clutter: dict[str, Any] = {name: np.nan if value is None else value for name, value in values["clutter"].items()}
-    return BinRecord(
+    record = BinRecord(
         **{
             **values,
             "termination": Termination(values["termination"]),
@@ -210,6 +211,8 @@ def _bin(values: dict[str, Any]) -> BinRecord:
             "undelivered": _undelivered(values.get("undelivered")),
         }
     )
+    require_field_types(record)
+    return record
 
 
 def _undelivered(values: list[dict[str, Any]] | None) -> tuple[UndeliveredPart, ...] | None:

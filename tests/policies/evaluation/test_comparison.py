@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from perception.runtime.records import RecordError
 from policies.commands import compare
 from policies.evaluation.comparison import ComparisonError, compare_runs, load_run
 from policies.evaluation.config import EvaluationConfig
@@ -127,3 +128,21 @@ def test_the_command_prints_the_table_and_writes_numbers_and_page(
     assert "<td class=n>+5.0</td>" in (tmp_path / "c.html").read_text()
     assert compare.main([runs[0], str(tmp_path)]) == 2
     assert "is no folder of `binpick pick`" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "value"), [("hash", {}), ("hash", 3), ("config", 7), ("config", [1])])
+def test_a_configuration_of_other_types_is_refused(name: str, value: object, save: Save) -> None:
+    folder = save("a", (1, 1))
+    path = folder / "config.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+    with pytest.raises(ComparisonError, match=r"config\.json is damaged: its hash must be text, and its config"):
+        load_run(folder)
+
+
+@pytest.mark.parametrize(("name", "value"), [("delivered", None), ("git_commit", 7), ("wall", "long"), ("seed", 1.5)])
+def test_a_record_of_other_types_is_refused(name: str, value: object, save: Save) -> None:
+    folder = save("a", (1, 1))
+    path = record_path(folder, 0)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+    with pytest.raises(RecordError, match=rf"does not hold a complete bin record \({name} must be "):
+        load_run(folder)
