@@ -8,13 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.boundary import BoundaryCloud
-from perception.geometry import Floats, pixel_rays, require_shape
+from perception.geometry import Floats, pixel_rays, require_rigid, require_shape
 from perception.runtime.records import RecordError, RecordFormat
 from perception.segmentation.surface import Surface
 from perception.shape import shape_values
 
 SCENES_NOTE = "scenes.json"  # file beside the scenes of a folder with the settings that made them
 SURFACE_UNIT = 2e-5  # resolution of the depth of the surface in a file [m]
+# Kinds of the data types that a file holds, as numpy names them: u and i whole numbers, f floating point, U text.
+_KINDS = {
+    **{"tangents": "i", "pixels": "i", "instance_ids": "i", "linearity": "u", "surface": "u", "part": "U"},
+    **dict.fromkeys(
+        ("d_max", "depth", "surface_frame", "K", "T_cam_parts", "centres_cam", "visible_fractions", "signature"), "f"
+    ),
+}
 FARTHEST = 65535 * SURFACE_UNIT  # largest depth of the surface in a file [m]
 
 
@@ -62,6 +69,8 @@ class BoundaryScene:
         require_shape("visible_fractions", self.visible_fractions, (parts,))
         if self.instance_ids.max(initial=-1) >= parts:
             raise ValueError(f"instance_ids go up to {self.instance_ids.max()}, but there are {parts} parts")
+        if self.instance_ids.min(initial=-1) < -1:
+            raise ValueError(f"instance_ids must be -1 or the number of a part, got {self.instance_ids.min()}")
         if not self.d_max > 0:
             raise ValueError(f"d_max must be positive, got {self.d_max}")
         if self.signature is not None:
@@ -114,6 +123,7 @@ class BoundaryScene:
 
     @classmethod
     def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "BoundaryScene":
+        _require_stored(arrays)
         tangents = arrays["tangents"] / 127.0
         lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
         u0, v0, cell = arrays["surface_frame"].tolist()
@@ -140,3 +150,28 @@ class BoundaryScene:
     def only(self, mask: NDArray[np.bool_]) -> "BoundaryScene":
         """Return the scene with only the boundary points of the (N,) ``mask``."""
         return replace(self, boundary=self.boundary.only(mask), instance_ids=self.instance_ids[mask])
+
+
+def _require_stored(arrays: dict[str, NDArray[Any]]) -> None:
+    """Refuse the arrays of a file that :meth:`BoundaryScene.save` has not written: other types, no numbers, no poses.
+
+    Raises:
+        KeyError: An array is missing.
+        ValueError: An array is of another type, or its values have no meaning.
+    """
+    for name, kind in _KINDS.items():
+        if name == "signature" and name not in arrays:
+            continue  # a file of an older version
+        array = arrays[name]
+        if array.dtype.kind != kind:
+            raise ValueError(f"{name} is of type {array.dtype}, which no scene has")
+        if kind == "f" and not np.isfinite(array).all():
+            raise ValueError(f"{name} must be finite")
+    require_shape("K", arrays["K"], (3, 3))
+    if not (arrays["K"][0, 0] > 0 and arrays["K"][1, 1] > 0):
+        raise ValueError(f"K must have positive focal lengths, got {arrays['K'].tolist()}")
+    for T_cam_part in arrays["T_cam_parts"]:
+        require_rigid("T_cam_parts", T_cam_part)
+    fractions = arrays["visible_fractions"]
+    if not ((fractions >= 0) & (fractions <= 1)).all():
+        raise ValueError(f"visible_fractions must be in [0, 1], got {fractions.tolist()}")

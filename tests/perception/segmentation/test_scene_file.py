@@ -220,3 +220,30 @@ def test_only_keeps_the_points_of_a_mask() -> None:
 def test_nonsense_in_a_scene_is_refused(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         BoundaryScene(**facts() | changes)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("K", np.full((3, 3), np.nan), "K must be finite"),
+        ("K", np.zeros((3, 3)), "K must have positive focal lengths"),
+        ("K", np.eye(4), r"K must be \(3, 3\)"),
+        ("T_cam_parts", np.zeros((PARTS, 4, 4)), "T_cam_parts must be"),
+        ("centres_cam", np.full((PARTS, 3), np.inf), "centres_cam must be finite"),
+        ("visible_fractions", np.full(PARTS, 1.5), r"visible_fractions must be in \[0, 1\]"),
+        ("linearity", np.zeros(200), "linearity is of type float64, which no scene has"),
+        ("instance_ids", np.full(200, "0"), "instance_ids is of type <U1, which no scene has"),
+        ("instance_ids", np.full(200, -2, np.int16), "instance_ids must be -1 or the number of a part, got -2"),
+        ("part", np.array(3.0), "part is of type float64, which no scene has"),
+    ],
+)
+def test_a_file_whose_values_have_no_meaning_is_refused(
+    name: str, value: np.ndarray, text: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "scene.npz"
+    BoundaryScene(**facts()).save(path)
+    with np.load(path) as stored:
+        arrays = {key: stored[key] for key in stored.files}
+    np.savez(path, **(arrays | {name: value}))
+    with pytest.raises(SceneError, match=text):
+        BoundaryScene.load(path)
