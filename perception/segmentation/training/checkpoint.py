@@ -24,13 +24,13 @@ FORMAT = RecordFormat(
 
 
 def save_checkpoint(path: Path, trainer: Trainer) -> None:
-    """Write network, average, optimizer, step, elapsed time and the record of the initial network, atomically."""
+    """Write network, average, optimizer, step, time, losses to be logged and the initial network's record, atomically."""
     tensors: dict[str, Tensor] = {}
     for prefix, module in (("network", trainer.network), ("averaged", trainer.averaged)):
         tensors |= {f"{prefix}/{name}": value for name, value in module.state_dict().items()}
     for index, values in trainer.optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer/{index}/{name}": torch.as_tensor(value) for name, value in values.items()}
-    state = {"step": trainer.step, "elapsed": trainer.elapsed, "initial": trainer.initial}
+    state = {"step": trainer.step, "elapsed": trainer.elapsed, "initial": trainer.initial, "unlogged": trainer.unlogged}
     FORMAT.save_tensors(path, tensors, {**_identity(trainer), **state})
 
 
@@ -57,7 +57,8 @@ def load_checkpoint(path: Path, trainer: Trainer) -> None:
     except (RuntimeError, KeyError, ValueError) as error:
         raise CheckpointError(f"{path} does not fit the network of its own settings ({error})") from error
     trainer.step, trainer.elapsed = facts["step"], facts["elapsed"]
-    trainer.initial = facts.get("initial", trainer.initial)  # older checkpoints do not hold it
+    trainer.initial = facts.get("initial", trainer.initial)  # older checkpoints hold neither this nor the next
+    trainer.unlogged = facts.get("unlogged", [])
 
 
 def _with_numbers(facts: dict[str, Any], tensors: dict[str, Tensor]) -> tuple[dict[str, Any], dict[str, Tensor]]:

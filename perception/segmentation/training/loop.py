@@ -104,6 +104,7 @@ class Trainer:
         self.initial: dict[str, Any] | None = (
             None  # record of the network that it started from; None for random weights
         )
+        self.unlogged: list[dict[str, float]] = []  # losses of the steps since the last line of the log
         self.whole = True  # whether no step is under way, so that the state can be saved
         self._skips = 0
         self._parallel: nn.Module = self.network

@@ -117,21 +117,20 @@ def train(
     """
     git_commit()  # cached now, so that commits made during the training do not change it
     saved = evaluated = trainer.elapsed
-    losses: list[dict[str, float]] = []
     if trainer.step == 0 and config.leader:
         (config.out / LOG).unlink(missing_ok=True)
         if config.initial is not None and validation:
-            _log_line(trainer, validation, config, [], on_evaluation)
+            _log_line(trainer, validation, config, on_evaluation)
     try:
         for record in trainer.run():
             if not record.skipped:
-                losses.append(record.losses)
+                trainer.unlogged.append(record.losses)
             if on_step is not None:
                 on_step(record)
             if trainer.elapsed - evaluated >= 60 * config.evaluate_every and config.leader:
                 evaluated = trainer.elapsed
-                _log_line(trainer, validation, config, losses, on_evaluation)
-                losses = []
+                _log_line(trainer, validation, config, on_evaluation)
+                trainer.unlogged = []
             if trainer.elapsed - saved >= 60 * config.save_every and config.leader:
                 saved = trainer.elapsed
                 save_checkpoint(config.out / CHECKPOINT, trainer)
@@ -142,7 +141,7 @@ def train(
     if not config.leader:
         return {}
     save_checkpoint(config.out / CHECKPOINT, trainer)
-    line = _log_line(trainer, validation, config, losses, on_evaluation)
+    line = _log_line(trainer, validation, config, on_evaluation)
     save_network(config.out / WEIGHTS, trainer.best_network(), training_record(trainer, config, line))
     return line
 
@@ -208,9 +207,9 @@ def _log_line(
     trainer: Trainer,
     validation: Sequence[Path] | Judge,
     config: RunConfig,
-    losses: Sequence[dict[str, float]],
     on_evaluation: Callable[[Log], None] | None,
 ) -> Log:
+    losses = trainer.unlogged
     means = {name: float(np.mean([loss[name] for loss in losses])) for name in (losses[0] if losses else ())}
     line: Log = {"step": trainer.step, "minutes": trainer.elapsed / 60, "losses": means}
     if config.scene_minutes:

@@ -212,6 +212,24 @@ def test_a_run_writes_log_checkpoint_and_weights(tmp_path: Path) -> None:
     assert again.progress == 1.0
 
 
+def test_a_training_that_is_killed_before_its_last_line_logs_the_same_losses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(*_: object) -> None:
+        raise SystemExit
+
+    config = RunConfig(out=tmp_path, parts=("disc",))
+    whole = train(trainer(GRID, steps=2), [], replace(config, out=tmp_path / "whole"))
+    with monkeypatch.context() as patch:
+        patch.setattr(run_module, "_log_line", killed)
+        with pytest.raises(SystemExit):
+            train(trainer(GRID, steps=2), [], config)
+    resumed = trainer(GRID, steps=2)
+    assert resume(resumed, config)
+    assert train(resumed, [], config)["losses"] == whole["losses"]
+    assert len(whole["losses"]) > 0
+
+
 def test_a_training_may_start_from_the_weights_of_another(tmp_path: Path) -> None:
     first = trainer(GRID, steps=2)
     train(first, [], RunConfig(out=tmp_path / "first", parts=("disc",)))
