@@ -24,7 +24,7 @@ FORMAT = RecordFormat(
 
 
 def save_checkpoint(path: Path, trainer: Trainer) -> None:
-    """Write network, average, optimizer, step, time, losses to be logged and the initial network's record, atomically."""
+    """Write network, average, optimizer, step, time, losses to be logged and the first network's record, atomically."""
     tensors: dict[str, Tensor] = {}
     for prefix, module in (("network", trainer.network), ("averaged", trainer.averaged)):
         tensors |= {f"{prefix}/{name}": value for name, value in module.state_dict().items()}
