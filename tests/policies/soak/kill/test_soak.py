@@ -36,7 +36,7 @@ except OSError as error:
 """
 HALF = WELL.replace('not (out / f"{k}.json").exists()', "True").replace(
     'os.replace(draft, out / f"{k}.json")',
-    '(out / f"{k}.json").write_text("[" + "1," * k); time.sleep(0.2); (out / f"{k}.json").write_text(str(k))',
+    '(out / f"{k}.json").write_text("[" + "1," * k); time.sleep(0.1); (out / f"{k}.json").write_text(str(k))',
 )
 RAISING = WELL.replace("    sys.exit(2)", "    raise")
 Use = Callable[[str], KillSoak]
