@@ -1,12 +1,17 @@
 """Atomic writes: a file is written under another name and then renamed, so no reader sees half of it."""
 
+import glob
 import json
 import os
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+_STALE = 5.0  # time after which the draft of a process that has ended is left over [s]
 
 
 def json_text(values: Any, indent: int | None = 1) -> str:
@@ -41,13 +46,15 @@ def replace_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """Replace ``path`` atomically by what ``write`` writes.
 
     Args:
-        path: File to create or replace; folders that are missing are created.
+        path: File to create or replace; folders that are missing are created. Drafts of it that killed processes
+            have left are removed.
         write: Writes the file whose path it is given. If it fails, that file is removed and ``path`` stays as it was.
 
     Raises:
         OSError: The file cannot be written; the error names ``path``.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    _remove_left_over(path)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         write(draft)
@@ -57,3 +64,23 @@ def replace_atomically(path: Path, write: Callable[[Path], None]) -> None:
         if isinstance(error, OSError) and error.errno and error.filename in (None, str(draft)):
             raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk names no file
         raise
+
+
+def _remove_left_over(path: Path) -> None:
+    """Remove the drafts of a file whose processes were killed while they wrote."""
+    for draft in path.parent.glob(f".{glob.escape(path.name)}.*"):
+        pid = draft.suffix[1:]
+        # Another machine's process may have any number, but it would still be writing.
+        with suppress(OSError):  # a second writer may remove it, too
+            if pid.isdecimal() and not _is_running(int(pid)) and time.time() - draft.stat().st_mtime > _STALE:
+                draft.unlink()
+
+
+def _is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:  # another user's
+        return True
+    return True

@@ -75,3 +75,21 @@ def test_a_writer_that_writes_nothing_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         replace_atomically(tmp_path / "note.txt", lambda draft: None)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_drafts_that_killed_processes_left_are_removed(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        ended.wait()
+    left = tmp_path / f".numbers[1].json.{ended.pid}"
+    kept = [
+        tmp_path / f".numbers[1].json.{os.getppid()}",  # of a process that runs
+        tmp_path / f".other.json.{ended.pid}",
+        tmp_path / ".numbers[1].json.backup",
+    ]
+    for path in (left, *kept):
+        path.touch()
+        os.utime(path, (0, 0))
+    fresh = tmp_path / f".numbers[1].json.{ended.pid + 1000000}"  # of a process of another machine, perhaps
+    fresh.touch()
+    write_atomically(tmp_path / "numbers[1].json", "{}")
+    assert {path.name for path in tmp_path.iterdir()} == {"numbers[1].json", fresh.name, *(path.name for path in kept)}
