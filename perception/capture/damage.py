@@ -25,9 +25,9 @@ def decoding(path: Path) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):
             yield
-    except OSError:
-        raise
     except Exception as error:
+        if isinstance(error, OSError) and (error.filename is not None or error.errno is None):
+            raise  # the system says it of the file itself; where damaged bytes lead a decoder astray, it names no file
         if isinstance(error, ValueError) and path.name in str(error):
             raise
         if isinstance(error, ValueError) and " must " in str(error):

@@ -77,9 +77,16 @@ def _elements(lines: list[list[str]], name: str) -> list[PlyElement]:
     for i, words in enumerate(lines):
         if words[:1] != ["element"]:
             continue
+        if len(words) != 3 or not words[2].lstrip("-").isdecimal():
+            raise ValueError(f"{name}: a line of an element must be 'element NAME COUNT', got {' '.join(words)!r}")
         rest = lines[i + 1 :]
         length = next((j for j, line in enumerate(rest) if line[:1] == ["element"]), len(rest))
         given = [line[1:] for line in rest[:length] if line[:1] == ["property"]]
+        short = next((line for line in given if len(line) < (4 if line[:1] == ["list"] else 2)), None)
+        if short is not None:
+            raise ValueError(
+                f"{name}: a property must have a type and a name, got {' '.join(['property', *short])!r} in {words[1]}"
+            )
         lists = [line for line in given if line[0] == "list"]
         if lists and (len(given) > 1 or lists[0][1] not in ("uchar", "uint8", "char", "int8")):
             raise ValueError(

@@ -92,3 +92,14 @@ def test_refusals_of_decoders_say_what_must_be_and_so_are_not_reported_as_damage
     assert refusals
     # A text that continues another error's has the other one's "must".
     assert [text for text in refusals if " must " not in text and "{refusal}; " not in text] == []
+
+
+def test_an_error_of_the_system_that_a_decoder_runs_into_names_the_file(tmp_path: Path) -> None:
+    """A decoder of damaged bytes may ask for an impossible place in the file."""
+    with (
+        pytest.raises(ValueError, match=r"scan.npz must be a complete file .* Invalid argument"),
+        decoding(tmp_path / "scan.npz"),
+    ):
+        raise OSError(22, "Invalid argument")
+    with pytest.raises(FileNotFoundError), decoding(tmp_path / "scan.npz"):
+        (tmp_path / "scan.npz").read_bytes()

@@ -104,6 +104,10 @@ INDICES = "element range_grid {}\nproperty list uchar int vertex_indices\n"
         (b"ply\nend_header", "must hold vertices behind its header, got none"),
         (header("binary", ONE), "format must be one of ascii, binary_little_endian, binary_big_endian, got binary"),
         (header("ascii", "element vertex 1\nproperty float x\n"), r"with x, y and z, got \['vertex'\]"),
+        (header("ascii", "element vertex\n"), "must be 'element NAME COUNT', got 'element vertex'"),
+        (header("ascii", "element vertex 1.5\n"), "must be 'element NAME COUNT', got 'element vertex 1.5'"),
+        (header("ascii", "element vertex 1\nproperty float\n"), "must have a type and a name, got 'property float'"),
+        (header("ascii", "element vertex 1\nproperty list uchar int\n"), "got 'property list uchar int' in vertex"),
         (header("ascii", "element vertex 1\nproperty half x\n"), r"type must be one of .* got \['half'\]"),
         (
             header("ascii", "element vertex 1\nproperty float x\nproperty list uchar int n\n"),
