@@ -34,8 +34,8 @@ class JointRefinement:
         edge_noise: Standard deviation of an edge's place in the image [px]; the edge gates are at least three of them.
         depth_noise: Standard deviation of the depth [m]. The match gate is at least four, the surface gate at least
             three of them.
-        patch: Measured points up to this far from a sample's pixel count as its surface [px]; their mean is less noisy
-            than one of them.
+        patch: Measured points up to this far from a sample's pixel count as its surface [px].
+        averaged: Standard deviation of their mean, as a share of that of one of them: neighbours share their errors.
         iterations: Largest number of steps in each stage.
         max_angle: Largest angle between the tangents of a match as lines [rad].
         damping: Number added to each eigenvalue of the Hessian per weighted match.
@@ -50,6 +50,7 @@ class JointRefinement:
     edge_noise: float = 0.7
     depth_noise: float = 0.0003
     patch: int = 2
+    averaged: float = 0.5
     iterations: int = 8
     max_angle: float = float(np.deg2rad(25.0))
     damping: float = 1e-4
@@ -64,6 +65,8 @@ class JointRefinement:
             if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         require_common(self.iterations, self.max_angle, self.damping, self.observable, self.still)
+        if not 0 < self.averaged <= 1:
+            raise ValueError(f"averaged must be in (0, 1], got {self.averaged}")
         if self.patch < 0:
             raise ValueError(f"patch must not be negative, got {self.patch}")
         if not 0 <= self.min_matched <= 1:
@@ -111,7 +114,7 @@ def refine_jointly(
             max(config.match_gate * d_max, 4 * config.depth_noise),
             float(np.cos(config.max_angle)),
             max(share * d_max, 3 * edge_noise),
-            (config.depth_noise / max(edge_noise, 1e-9)) ** 2,
+            (config.averaged * config.depth_noise / max(edge_noise, 1e-9)) ** 2,
             surface.points,
             surface.normals,
             visible,

@@ -119,6 +119,7 @@ def test_bad_poses_and_frames_are_refused() -> None:
         ({"depth_noise": 0.0}, "depth_noise must be positive, got 0"),
         ({"iterations": 0}, "iterations must be at least 1, got 0"),
         ({"max_angle": 2.0}, r"max_angle must be in \(0, pi/2\] rad, got 2"),
+        ({"averaged": 0.0}, r"averaged must be in \(0, 1\], got 0"),
         ({"patch": -1}, "patch must not be negative, got -1"),
         ({"min_matched": 1.5}, r"min_matched must be in \[0, 1\], got 1.5"),
     ],
