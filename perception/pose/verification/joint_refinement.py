@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.geometry import Floats
+from perception.geometry import NEAR, Floats
 from perception.pose.model.appearances import SeenEdges
 from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.verification import _descent_kernels
@@ -100,8 +100,9 @@ def refine_jointly(
     frame = group.frame
     require_depth(frame)
     d_max = surface.d_max
-    # What a pixel measures across the line of sight, at the part.
-    edge_noise = config.edge_noise * max(float(T[2, 3]), 0.0) / float(frame.K[0, 0])
+    # What a pixel measures across the line of sight, at the part's centre; its origin may be far away.
+    depth = float(T[2, :3] @ surface.centre + T[2, 3])
+    edge_noise = config.edge_noise * max(depth, NEAR) / float(frame.K[0, 0])
     steps, settled, total, count, wanted = 0, False, 0.0, 0, 0
     for share in config.edge_gates:
         points, tangents = edges.seen_from(view_direction(T, edges.centre))
@@ -114,7 +115,7 @@ def refine_jointly(
             max(config.match_gate * d_max, 4 * config.depth_noise),
             float(np.cos(config.max_angle)),
             max(share * d_max, 3 * edge_noise),
-            (config.averaged * config.depth_noise / max(edge_noise, 1e-9)) ** 2,
+            (config.averaged * config.depth_noise / edge_noise) ** 2,
             surface.points,
             surface.normals,
             visible,

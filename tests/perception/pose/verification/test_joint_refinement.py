@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from perception.geometry import Floats, make_transform, rotation_about
+from perception.geometry import Floats, invert_transform, make_transform, rotation_about
 from perception.metrics.pose_errors import pose_error
+from perception.part import PartModel
 from perception.pose.model.surface_models import surface_model
 from perception.pose.verification.boundary_index import index_boundary
 from perception.pose.verification.joint_refinement import JointRefinement, refine_jointly
@@ -82,6 +83,21 @@ def test_the_surface_alone_and_the_edges_alone_are_enough_where_they_determine_t
     assert off(LEANING, replace(group, boundary=nothing), 0)[0] < 0.4
     far = at.framed(np.full_like(group.frame.depth, 2.0))
     assert off(LEANING, replace(group, frame=far), 0)[0] < 0.6
+
+
+def test_the_origin_of_a_parts_drawing_has_no_influence() -> None:
+    """The origin of this drawing is 2 m from the part; the weights of edges and depth are those at the part."""
+    away = make_transform(None, (0.0, 0.0, -2.0))
+    part = PartModel.from_mesh("far", ELL.mesh.copy().apply_transform(away))
+    model, surface = at.wire_model(part), surface_model(part)
+    group = seen(FROM_ABOVE, np.random.default_rng(6), noise=0.002)
+    shifted = group.points_cam + np.array([0.0005, 0.0, 0.0])  # edges and depth disagree
+    group = replace(group, boundary=index_boundary(shifted, group.tangents_cam, ELL.d_max))
+    config = JointRefinement(depth_noise=0.002)
+    near = refine_jointly(FROM_ABOVE, MODEL, SURFACE, group, config)
+    far = refine_jointly(FROM_ABOVE @ invert_transform(away), model, surface, group, config)
+    assert far.converged
+    np.testing.assert_allclose(far.T_cam_part @ away, near.T_cam_part, atol=2e-5)
 
 
 def test_a_pose_with_nothing_near_is_not_converged() -> None:
