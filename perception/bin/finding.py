@@ -36,7 +36,8 @@ def find_bin(frame: Frame, inner_size: Floats | None, near: Workspace | None = N
 
     The top of the rim gives height and tilt, its inner edges give position and turn, and floor and inner faces of the
     walls count where they are seen. One rigid pose is fitted to all of them at once. A table has a floor only. Where
-    the floor is seen more than a centimetre from where the stated height puts it, the measured height counts.
+    the floor is seen more than a centimetre below where the stated height puts it, the measured height counts. A level
+    above it may be a layer of parts, and is told by ``height`` alone.
 
     Args:
         frame: Frame of the camera; its grey image plays no part.
@@ -146,7 +147,7 @@ def _at_floor(frame: Frame, cloud: GridCloud, refined: Refined, edges: RimEdges 
     level = None if state.free else lowest_level(cloud, state, floor_seen=floor_seen)
     if level is not None:
         height = float(state.size[2]) + state.lift - level
-        if abs(level) > OTHER_HEIGHT:
+        if level < -OTHER_HEIGHT:  # a higher one may be a layer of parts, which would be taken for the floor
             T_cam_bin = state.T_cam_bin @ make_transform(translation=(0.0, 0.0, level))
             size = np.array([*state.size[:2], height])
             moved = BinState(T_cam_bin=T_cam_bin, size=size, noise=state.noise)

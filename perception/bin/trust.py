@@ -17,7 +17,7 @@ def reconcile(frame: Frame, workspace: Workspace, fit: BinFit, trust: Trust) -> 
     """Return a frame and its bin so that the bin stands where the frame shows it.
 
     The bin returned has the uncertainty of the fit, and its height where the floor was measured more than a centimetre
-    from where the believed height puts it. If the fit is unreliable, the poses stay as they are, and the bin's
+    below where the believed height puts it. If the fit is unreliable, the poses stay as they are, and the bin's
     is uncertain by 5 mm and 1.5 degrees.
 
     Args:

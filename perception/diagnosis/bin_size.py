@@ -8,6 +8,7 @@ from perception.geometry import Floats
 
 _DIFFERENT, _SIGMAS = 0.003, 3.0  # difference of a measured opening from the one given from which it counts [m]
 _SCALED, _ALIKE = 0.2, 0.1  # least relative error of a wrong unit, and largest difference of the two sides' ratios
+_LAYER = 0.01  # height of a level above the stated floor from which the stated height is doubted [m]
 _OTHER_HEIGHT = 0.005  # the same of heights [m]: rims are rounded, and the floor is found all the same
 # What is said of a bin's place, size or camera: it says nothing where there is no bin.
 ABOUT_BIN: frozenset[CauseName] = frozenset(
@@ -56,6 +57,10 @@ def _opening_text(fit: BinFit, given: Floats) -> str | None:
 def _height_text(fit: BinFit, given: Floats) -> str | None:
     """Return what is said of another height of the rim above the floor; None if it is as given, or not seen."""
     away, said = abs(fit.height - given[2]), f"inner_size height stated {1000 * given[2]:.0f} mm"
+    if fit.reliable and "floor" not in fit.seen:
+        level = f"the lowest level seen is {1000 * fit.height:.0f} mm below the rim"
+        check = "parts fill the bin up to it, or the height is wrong: check --bin"
+        return f"{said}, but {level}: {check}" if away > _LAYER else None  # NaN is no difference
     advice = "correct --bin, or let --find-bin measure the size"
     if not fit.reliable:
         suggested = f"the frame suggests at least {1000 * fit.height:.0f} mm ({fit.reason})"

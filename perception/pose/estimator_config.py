@@ -16,6 +16,7 @@ from perception.pose.verification.verification import TOLERANCE, VerificationCon
 
 GATE = 3.0  # distance within which a refinement seeks matches, in standard deviations of the depth
 NOISIEST = 0.05  # largest noise that widens them, as a share of d_max: a bin of small parts looks noisier than it is
+QUIETEST = 3e-5  # smallest noise of the depth that the joint refinement reckons with [m]
 TOLERATED = 2.0  # gap with which two surfaces agree, in the same; with three, wrong poses agree nearly as well
 
 
@@ -82,7 +83,8 @@ class EstimatorConfig:
     def at_noise(self, noise: float, d_max: float) -> "EstimatorConfig":
         """Return these settings for a frame whose depth is noisy.
 
-        Gates narrower than three standard deviations are widened to them, and tolerances narrower than two.
+        Gates narrower than three standard deviations are widened to them, and tolerances narrower than two. The joint
+        refinement weighs the depth by its noise.
 
         Args:
             noise: Standard deviation of the depth [m]; no more than 5 % of ``d_max`` counts.
@@ -96,6 +98,6 @@ class EstimatorConfig:
             quick_edges=replace(self.quick_edges, finest=max(self.quick_edges.finest, finest)),
             quick_surface=replace(self.quick_surface, finest=max(self.quick_surface.finest, finest)),
             edge_refinement=replace(self.edge_refinement, finest=max(self.edge_refinement.finest, finest)),
-            joint_refinement=replace(self.joint_refinement, depth_noise=max(self.joint_refinement.depth_noise, noise)),
+            joint_refinement=replace(self.joint_refinement, depth_noise=max(noise, QUIETEST)),
             verification=replace(self.verification, noise=max(self.verification.noise, tolerated)),
         )

@@ -124,7 +124,8 @@ def _words(line: str) -> list[str]:
         return line.replace(";", " ").split()
     fields = line.split(";") if ";" in line else _SPACES.split(line.strip())
     fields = [field.strip() for field in fields if field.strip()]
-    if len(fields) < 2 or not any("," in field for field in fields):
+    several = any(field.count(",") > 1 for field in fields)  # no number has two commas: they separate
+    if several or len(fields) < 2 or not any("," in field for field in fields):
         words = line.replace(",", " ").replace(";", " ").split()
         if all(_WHOLE.fullmatch(word) for word in words) and any(_FRACTION.fullmatch(word) for word in words):
             raise ValueError("commas cannot be both decimal points and separators")  # 0,05,0,10,0,90

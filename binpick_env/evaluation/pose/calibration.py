@@ -123,6 +123,8 @@ def fit_confidence(sample: Sample, start: ConfidenceConfig | None = None) -> Con
     if correct.all() or not correct.any():
         raise ValueError(f"correct and wrong poses are needed, got {correct.sum()} correct of {len(correct)}")
     excess = MILLIMETRES * np.maximum(sample.noise - start.noise, 0.0)
+    if not np.isfinite(excess).all():
+        raise ValueError("the noise of every frame must be finite")
     X = np.column_stack([np.ones(len(correct)), sample.predictors, excess])
     signs = np.where(correct, 1.0, -1.0)
 
@@ -133,9 +135,12 @@ def fit_confidence(sample: Sample, start: ConfidenceConfig | None = None) -> Con
         return float(np.logaddexp(0, -margins).mean() + PENALTY * weights @ weights), gradient + 2 * PENALTY * weights
 
     found = minimize(loss, np.zeros(X.shape[1]), jac=True, method="BFGS").x
+    if found[-1] > 0:  # noise speaks for no pose: the others are fitted without it
+        X[:, -1] = 0.0
+        found = minimize(loss, np.zeros(X.shape[1]), jac=True, method="BFGS").x
     fitted = {name: round(float(value), 3) for name, value in zip(("bias", *COEFFICIENTS), found[:-1], strict=True)}
     if excess.any():
-        fitted["noise_weight"] = min(round(MILLIMETRES * float(found[-1])), 0.0)
+        fitted["noise_weight"] = min(float(round(MILLIMETRES * float(found[-1]))), 0.0)
     return replace(start, **fitted)
 
 

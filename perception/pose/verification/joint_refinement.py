@@ -22,6 +22,8 @@ from perception.pose.verification.refinement import (
 )
 from perception.pose.verification.verification import ObservedGroup
 
+PATCH = 0.05  # largest reach of a patch, as a share of d_max
+
 
 @dataclass(frozen=True, kw_only=True)
 class JointRefinement:
@@ -34,7 +36,8 @@ class JointRefinement:
         edge_noise: Standard deviation of an edge's place in the image [px]; the edge gates are at least three of them.
         depth_noise: Standard deviation of the depth [m]. The match gate is at least four, the surface gate at least
             three of them.
-        patch: Measured points up to this far from a sample's pixel count as its surface [px].
+        patch: Measured points up to this far from a sample's pixel count as its surface [px], but no farther than a
+            twentieth of d_max.
         averaged: Standard deviation of their mean, as a share of that of one of them: neighbours share their errors.
         iterations: Largest number of steps in each stage.
         max_angle: Largest angle between the tangents of a match as lines [rad].
@@ -102,7 +105,8 @@ def refine_jointly(
     d_max = surface.d_max
     # What a pixel measures across the line of sight, at the part's centre; its origin may be far away.
     depth = float(T[2, :3] @ surface.centre + T[2, 3])
-    edge_noise = config.edge_noise * max(depth, NEAR) / float(frame.K[0, 0])
+    pixel = max(depth, NEAR) / float(frame.K[0, 0])
+    edge_noise, patch = config.edge_noise * pixel, min(config.patch, int(PATCH * d_max / pixel))
     steps, settled, total, count, wanted = 0, False, 0.0, 0, 0
     for share in config.edge_gates:
         points, tangents = edges.seen_from(view_direction(T, edges.centre))
@@ -122,7 +126,7 @@ def refine_jointly(
             frame.depth,
             frame.K,
             max(config.surface_gate * d_max, 3 * config.depth_noise),
-            config.patch,
+            patch,
             surface.centre,
             d_max,
             config.iterations,

@@ -79,7 +79,11 @@ def test_the_facts_tell_the_opening_measured_from_the_size_given() -> None:
         (replace(FOUND, height=0.1), "inner_size height stated 120 mm, measured 100 mm: correct --bin, or let"),
         (replace(FOUND, height=0.124), None),
         (replace(FOUND, height=0.126, translation_std=0.0025), None),
-        (replace(FOUND, height=0.1, points={"rim": 9, "wall_x+": 9}), None),  # flat parts may cover the floor
+        (
+            replace(FOUND, height=0.1, points={"rim": 9, "wall_x+": 9}),
+            "100 mm below the rim: parts fill the bin up to it",
+        ),
+        (replace(FOUND, height=0.112, points={"rim": 9, "wall_x+": 9}), None),  # flat parts may cover the floor
         (replace(FOUND, height=0.15, reason="no"), "the frame suggests at least 150 mm (no): correct --bin"),
     ],
 )

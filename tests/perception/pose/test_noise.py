@@ -58,7 +58,10 @@ def test_only_the_noise_in_the_bin_counts() -> None:
 
 def test_gates_and_tolerances_follow_the_noise_up_to_a_share_of_the_part() -> None:
     plain = EstimatorConfig()
-    assert plain.at_noise(0.0, 0.1) == plain == plain.at_noise(0.0002, 0.1)
+    quiet = plain.at_noise(0.0002, 0.1)
+    assert replace(quiet, joint_refinement=plain.joint_refinement) == plain
+    assert quiet.joint_refinement.depth_noise == 0.0002
+    assert plain.at_noise(0.0, 0.1).joint_refinement.depth_noise == 3e-5
     noisy = plain.at_noise(0.002, 0.1)
     for refinement in (noisy.quick_edges, noisy.quick_surface, noisy.edge_refinement):
         assert refinement.finest == pytest.approx(0.006)

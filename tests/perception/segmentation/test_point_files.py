@@ -68,6 +68,14 @@ def test_commas_between_numbers_separate(tmp_path: Path, line: str) -> None:
     np.testing.assert_array_equal(found.points, [[1.0, 2.0, 3.0]] * 3)
 
 
+@pytest.mark.parametrize("line", ["0.1,0.2,0.3 4", "0.1,0.2,0.3;4", "0.1,0.2,0.3\t4", "0.1, 0.2, 0.3 ;4"])
+def test_a_label_may_stand_behind_another_separator(tmp_path: Path, line: str) -> None:
+    found = read_points(written(tmp_path / "cloud.csv", f"{line}\n" * 3))
+    np.testing.assert_array_equal(found.points, [[0.1, 0.2, 0.3]] * 3)
+    assert found.labels is not None
+    assert found.labels.tolist() == [4] * 3
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-32", "utf-8-sig"])
 def test_text_of_windows_is_read_by_its_byte_order_mark(tmp_path: Path, encoding: str) -> None:
     text = "\n".join(" ".join(map(str, point)) for point in POINTS)

@@ -130,9 +130,18 @@ def test_the_weight_of_the_noise_is_fitted_and_the_mismatch_is_not() -> None:
     found = fit_confidence(replace(sample, correct=right), truth)
     np.testing.assert_allclose(coefficients(found), coefficients(TRUTH), atol=0.3)
     assert found.noise_weight == pytest.approx(-900.0, abs=60.0)
-    # Where noise does not hurt it must not help either.
-    harmless = fit_confidence(replace(sample, correct=rng.permutation(right)), truth)
-    assert harmless.noise_weight <= 0
+
+
+def test_noise_that_speaks_for_a_pose_is_left_out_of_the_fit() -> None:
+    clean, rng = drawn(), np.random.default_rng(2)
+    noisy = rng.uniform(size=len(clean.correct)) < 0.5
+    right = rng.uniform(size=len(noisy)) < np.where(noisy, 0.9, 0.7)
+    sample = replace(clean, noise=np.where(noisy, 0.003, 0.0005), correct=right)
+    found = fit_confidence(sample)
+    assert found.noise_weight == 0
+    assert predicted_confidence(sample, found).mean() == pytest.approx(right.mean(), abs=0.01)
+    with pytest.raises(ValueError, match="the noise of every frame must be finite"):
+        fit_confidence(replace(sample, noise=np.full(len(right), np.inf)))
 
 
 def test_a_folder_without_records_is_named(tmp_path: Path) -> None:
