@@ -7,7 +7,7 @@ from perception.bin.planes import peaks
 from perception.bin.refinement import BinState
 from perception.geometry import Floats, invert_transform, transform_points
 
-OTHER_HEIGHT = 0.01  # difference from the stated height beyond which a level is the floor: flat parts are thinner [m]
+OTHER_HEIGHT = 0.01  # distance below the stated floor beyond which a level is the floor [m]
 _CELL = 0.01  # side of the cells whose lowest points are looked at [m]
 _RIM = 0.01  # depth below the rim down to which no floor is looked for [m]
 _ASIDE = 0.003  # distance beyond the walls within which points count, and from them within which no floor is looked for

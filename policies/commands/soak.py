@@ -21,7 +21,7 @@ class Arguments:
     """
 
     # env: steps of BinPick-v0; select: decisions of BinPickSelect-v0; fuzz: malformed inputs; kill: killed jobs, full
-    # disks, two writers; all: one after the other
+    # disks, two writers; all four in turn unless given
     kind: SoakKind | None = None
     # number of steps, decisions, inputs or kills, rounded up to whole units of work; 100 000, 10 000, 1000 and 100
     # unless given
@@ -75,6 +75,8 @@ def _soak(args: Arguments, results: "dict[str, list[UnitResult]]") -> str:
     from perception.runtime.threads import one_core
     from policies.soak.run import run_soak, soak_table
 
+    if args.seed < 0:
+        raise ValueError(f"--seed must be 0 or more, got {args.seed}")
     tables = []
     for soak in args.soaks():
         results[soak.kind] = found = []

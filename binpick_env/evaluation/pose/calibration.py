@@ -76,7 +76,13 @@ def load_sample(folder: Path, part: PartModel, config: ConfidenceConfig | None =
     paths = sorted(folder.glob("scene_*.npz"))
     if not paths:
         raise FileNotFoundError(f"{folder} holds no records of binpick evaluate-pose")
-    return Sample.join([_sample(PoseRecord.load(path), part, config or ConfidenceConfig()) for path in paths])
+    records = [PoseRecord.load(path) for path in paths]
+    for path, record in zip(paths, records, strict=True):
+        if np.isnan(record.doubts).any():
+            raise ValueError(
+                f"{path} is of an older version, without mismatch and noise: run binpick evaluate-pose again"
+            )
+    return Sample.join([_sample(record, part, config or ConfidenceConfig()) for record in records])
 
 
 def _sample(record: PoseRecord, part: PartModel, config: ConfidenceConfig) -> Sample:
@@ -89,8 +95,6 @@ def _sample(record: PoseRecord, part: PartModel, config: ConfidenceConfig) -> Sa
         np.maximum(columns["size"], 1),
         config,
     )
-    if np.isnan(record.doubts).any():
-        raise ValueError("a record of an older version has neither mismatch nor noise; run binpick evaluate-pose again")
     mismatch = [mismatch_penalty(Mismatch(patch=patch, stray=stray), 0.0, config) for patch, stray, _ in record.doubts]
     matches = score.all_poses
     to_find = np.zeros(len(score.scores), np.bool_)

@@ -34,8 +34,8 @@ class JointRefinement:
         edge_gates: Largest distance of a match across the line of sight in each stage, as a share of d_max.
         surface_gate: Largest distance of a measured point from the model's surface, as a share of d_max.
         edge_noise: Standard deviation of an edge's place in the image [px]; the edge gates are at least three of them.
-        depth_noise: Standard deviation of the depth [m]. The match gate is at least four, the surface gate at least
-            three of them.
+        depth_noise: Standard deviation of the depth [m]; a pose estimator puts that of each frame in its place. The
+            match gate is at least four, the surface gate at least three of them.
         patch: Measured points up to this far from a sample's pixel count as its surface [px], but no farther than a
             twentieth of d_max.
         averaged: Standard deviation of their mean, as a share of that of one of them: neighbours share their errors.

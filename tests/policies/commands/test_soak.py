@@ -63,3 +63,5 @@ def test_a_broken_rule_is_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_nonsense_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(tmp_path, 0) == 2
     assert capsys.readouterr().err.endswith("error: inputs and chunk must be at least 1, got 0 and 20\n")
+    assert soak.main(["--kind", "fuzz", "--seed", "-1", "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.endswith("error: --seed must be 0 or more, got -1\n")

@@ -116,7 +116,9 @@ def test_a_sample_is_loaded_from_records(tmp_path: Path) -> None:
 
 def test_a_record_of_an_older_version_is_refused(tmp_path: Path) -> None:
     record(doubts=np.full((4, len(DOUBT_COLUMNS)), np.nan)).save(record_path(tmp_path, 0))
-    with pytest.raises(ValueError, match="of an older version has neither mismatch nor noise; run binpick"):
+    with pytest.raises(
+        ValueError, match=r"scene_00000.npz is of an older version, without mismatch and noise: run binpick"
+    ):
         load_sample(tmp_path, bracket())
 
 
