@@ -11,6 +11,8 @@ LEAST_NOISE = 0.0002  # noise below which a finer fit makes no difference [m]
 MOST_NOISE = 0.003  # noise above which points are no plane [m]
 _HYPOTHESES, _MOST_POINTS = 500, 1500  # triples that are tried, and points that they are tried on
 _FITTED = 12  # number of the best triples whose planes are fitted to their inliers
+MOST_BINS = 1_000_000  # bins of a histogram up to which gaps are kept
+GAP = 5  # empty bins more than this many keep the sums over neighbours of both sides apart
 _FLAT = 0.0005  # noise below which a plane is no better than another one [m]
 
 
@@ -98,12 +100,30 @@ def peaks(heights: Floats, width: float, share: float) -> Floats:
     if len(heights) == 0:
         return np.zeros(0)
     low = float(heights.min()) - width
-    counts = np.bincount(((heights - low) / width).astype(np.int64), minlength=3)
-    counts = np.pad(counts, 2)
+    levels, places = _without_gaps(((heights - low) / width).astype(np.int64))
+    counts = np.pad(np.bincount(places, minlength=3), 2)
     sums: NDArray[np.int64] = counts[:-2] + counts[1:-1] + counts[2:]
     smooth = sums + counts[1:-1]  # the middle counts twice, so that a single full bin is the maximum
     middle = sums[1:-1]
     maxima = (smooth[1:-1] >= smooth[:-2]) & (smooth[1:-1] > smooth[2:]) & (middle >= share * len(heights))
     found = np.flatnonzero(maxima)
     found = found[np.argsort(-middle[found], kind="stable")]
+    if levels is not None:
+        found = levels[found]
     return np.asarray(low + (found + 0.5) * width, np.float64)
+
+
+def _without_gaps(bins: NDArray[np.int64]) -> tuple[NDArray[np.int64] | None, NDArray[np.int64]]:
+    """Return the number of each place in a histogram, and the (N,) place of each point, given its bin.
+
+    The numbers are None where each place is its own number. Where points lie farther apart than `MOST_BINS` bins, long
+    gaps between them are cut down to `GAP` bins, so that a few absurd heights need no memory for all that lies between.
+    """
+    if bins.max() < MOST_BINS:
+        return None, bins
+    levels, where = np.unique(bins, return_inverse=True)
+    steps = np.minimum(np.diff(levels, prepend=levels[0]), GAP)
+    places = np.cumsum(steps)
+    numbers = np.zeros(int(places[-1]) + 1, np.int64)
+    numbers[places] = levels  # the places between are empty, and no maxima
+    return numbers, places[where]
