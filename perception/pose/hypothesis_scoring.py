@@ -13,6 +13,7 @@ from perception.pose.model.appearances import EdgeAppearances
 from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.confidence import confidence, mismatch_penalty
+from perception.pose.verification.expected_error import expected_error
 from perception.pose.verification.joint_refinement import refine_jointly
 from perception.pose.verification.mismatch import find_mismatch
 from perception.pose.verification.perturbation import score_drop
@@ -145,9 +146,13 @@ class HypothesisScorer:
         size = max(len(self._group.points_cam), 1)
         mismatch = find_mismatch(best.T_cam_part, self._models.surface, self._group, config.verification)
         penalty = mismatch_penalty(mismatch, self._group.noise, config.confidence) - best.penalty
+        models = self._models
+        expected = expected_error(
+            best.T_cam_part, part.symmetry, models.edges, models.surface, self._group, config.joint_refinement
+        )
         return PoseEstimate(
             T_cam_part=best.T_cam_part,
-            score=confidence(verdict, margin, drop, size, config.confidence, penalty),
+            score=confidence(verdict, margin, drop, size, config.confidence, penalty, expected.rotation),
             instance_idx=instance_idx,
             visible_fraction=verdict.visible_fraction,
             verdict=verdict,
@@ -157,6 +162,7 @@ class HypothesisScorer:
             surface_score=confidence(verdict, elsewhere, np.inf, size, config.confidence, penalty),
             mismatch=mismatch,
             noise=self._group.noise,
+            expected_error=expected,
         )
 
     def _scored(self, T_cam_part: Floats, *, final: bool) -> ScoredHypothesis:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from perception.geometry import Floats, require_shape
+from perception.pose.verification.expected_error import ExpectedError
 from perception.pose.verification.mismatch import Mismatch
 from perception.pose.verification.verification import Verdict
 
@@ -22,12 +23,14 @@ class PoseEstimate:
         score_drop: Smallest decrease of the logit when the part is rotated a little; infinite if the part's symmetry
             undoes every such rotation.
         size: Number of boundary points of the group after thinning.
-        surface_score: Score that the pose would have if neither its score drop nor other poses with nearly the same
-            surface counted against it, in [0, 1]; with the coefficients of the default configuration at least
-            ``score``. It tells which poses are likely enough to grasp at, and is no measure of their accuracy: a screw
-            whose turn about its axis cannot be seen can still be picked.
+        surface_score: Score that the pose would have if neither its score drop, nor its expected error, nor other poses
+            with nearly the same surface counted against it, in [0, 1]; with the coefficients of the default
+            configuration at least ``score``. It tells which poses are likely enough to grasp at, and is no measure of
+            their accuracy: a screw whose turn about its axis cannot be seen can still be picked.
         mismatch: What only the model or only the scene has in this pose; much of it lowers both scores.
         noise: Standard deviation of the frame's depth [m]; much of it lowers both scores.
+        expected_error: Standard deviations of the pose's error that follow from the noise of edges and depth; a large
+            one of the rotation lowers the score.
     """
 
     T_cam_part: Floats
@@ -41,6 +44,7 @@ class PoseEstimate:
     surface_score: float
     mismatch: Mismatch = field(default_factory=Mismatch)
     noise: float = 0.0
+    expected_error: ExpectedError = field(default_factory=ExpectedError)
 
     def __post_init__(self) -> None:
         require_shape("T_cam_part", self.T_cam_part, (4, 4))

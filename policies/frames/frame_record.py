@@ -96,6 +96,7 @@ class FrameRecord:
             "score": float(pose.score),
             "surface_score": float(pose.surface_score),
             "visible_fraction": float(pose.visible_fraction),
+            "expected_error": asdict(pose.expected_error),
             "verified": verified,
         }
 

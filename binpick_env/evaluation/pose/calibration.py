@@ -21,7 +21,7 @@ from perception.pose.verification.confidence import (
 )
 from perception.pose.verification.mismatch import Mismatch
 
-MILLIMETRES = 1e3  # in a metre; the fit wants coefficients of like size
+MILLIMETRES, DEGREES = 1e3, 180 / np.pi  # in a metre, in a radian; the fit wants coefficients of like size
 PENALTY = 1e-4  # weight of the squared coefficients, which keeps the fit finite for separable samples
 
 
@@ -30,7 +30,7 @@ class Sample:
     """Sample of estimated poses with their correctness.
 
     Attributes:
-        predictors: (E, 8) predictors of each pose, in the order of
+        predictors: (E, 9) predictors of each pose, in the order of
             `perception.pose.verification.confidence.COEFFICIENTS`.
         mismatch: (E,) term that structure which does not match adds to each pose's weighted sum, 0 or less.
         noise: (E,) standard deviation of the depth of each pose's frame [m].
@@ -71,7 +71,7 @@ def load_sample(folder: Path, part: PartModel, config: ConfidenceConfig | None =
     Raises:
         FileNotFoundError: There is no record.
         RecordError: A record is damaged.
-        ValueError: A record is of an older version, without mismatch and noise.
+        ValueError: A record is of an older version, without mismatch, noise or expected error.
     """
     paths = sorted(folder.glob("scene_*.npz"))
     if not paths:
@@ -80,7 +80,8 @@ def load_sample(folder: Path, part: PartModel, config: ConfidenceConfig | None =
     for path, record in zip(paths, records, strict=True):
         if np.isnan(record.doubts).any():
             raise ValueError(
-                f"{path} is of an older version, without mismatch and noise: run binpick evaluate-pose again"
+                f"{path} is of an older version, without mismatch, noise or expected error: "
+                "run binpick evaluate-pose again"
             )
     return Sample.join([_sample(record, part, config or ConfidenceConfig()) for record in records])
 
@@ -88,14 +89,17 @@ def load_sample(folder: Path, part: PartModel, config: ConfidenceConfig | None =
 def _sample(record: PoseRecord, part: PartModel, config: ConfidenceConfig) -> Sample:
     score = PoseSceneScore.from_record(record, 0, part)
     columns = {name: record.verdicts[:, k] for k, name in enumerate(VERDICT_COLUMNS)}
+    columns |= {name: record.doubts[:, k] for k, name in enumerate(DOUBT_COLUMNS)}
     found = predictors(
         np.column_stack([columns[name] for name in ("edge_score", "support", "violation")]),
         columns["margin"],
         columns["score_drop"],
         np.maximum(columns["size"], 1),
+        columns["rotation_error"],
         config,
     )
-    mismatch = [mismatch_penalty(Mismatch(patch=patch, stray=stray), 0.0, config) for patch, stray, _ in record.doubts]
+    mismatches = [Mismatch(patch=p, stray=s) for p, s in zip(columns["patch"], columns["stray"], strict=True)]
+    mismatch = [mismatch_penalty(each, 0.0, config) for each in mismatches]
     matches = score.all_poses
     to_find = np.zeros(len(score.scores), np.bool_)
     to_find[matches.pose_idx] = matches.correct & score.to_find[np.maximum(matches.matched_part, 0)]
@@ -103,7 +107,7 @@ def _sample(record: PoseRecord, part: PartModel, config: ConfidenceConfig) -> Sa
     return Sample(
         predictors=found,
         mismatch=np.array(mismatch, np.float64),
-        noise=record.doubts[:, DOUBT_COLUMNS.index("noise")],
+        noise=columns["noise"],
         correct=score.correct,
         to_find=to_find,
         missed=missed,
@@ -129,7 +133,8 @@ def fit_confidence(sample: Sample, start: ConfidenceConfig | None = None) -> Con
     excess = MILLIMETRES * np.maximum(sample.noise - start.noise, 0.0)
     if not np.isfinite(excess).all():
         raise ValueError("the noise of every frame must be finite")
-    X = np.column_stack([np.ones(len(correct)), sample.predictors, excess])
+    units = np.array([DEGREES if name == "rotation_error" else 1.0 for name in COEFFICIENTS])
+    X = np.column_stack([np.ones(len(correct)), sample.predictors * units, excess])
     signs = np.where(correct, 1.0, -1.0)
 
     def loss(w: Floats) -> tuple[float, Floats]:
@@ -142,7 +147,8 @@ def fit_confidence(sample: Sample, start: ConfidenceConfig | None = None) -> Con
     if found[-1] > 0:  # noise speaks for no pose: the others are fitted without it
         X[:, -1] = 0.0
         found = minimize(loss, np.zeros(X.shape[1]), jac=True, method="BFGS").x
-    fitted = {name: round(float(value), 3) for name, value in zip(("bias", *COEFFICIENTS), found[:-1], strict=True)}
+    values = found[:-1] * np.r_[1.0, units]
+    fitted = {name: round(float(value), 3) for name, value in zip(("bias", *COEFFICIENTS), values, strict=True)}
     if excess.any():
         fitted["noise_weight"] = min(float(round(MILLIMETRES * float(found[-1]))), 0.0)
     return replace(start, **fitted)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from binpick_env.evaluation.pose.method import PoseMethod, PoseMethodConfig, pose_method
-from binpick_env.evaluation.pose.record import STAGES, TRIALS, VERDICT, VERDICT_COLUMNS, PoseRecord
+from binpick_env.evaluation.pose.record import DOUBT_COLUMNS, STAGES, TRIALS, VERDICT, VERDICT_COLUMNS, PoseRecord
 from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, require_unseen
 from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.jobs.folder_config import ensure_same_config
@@ -180,7 +180,7 @@ def evaluate_pose_scene(config: PoseEvaluationConfig, index: int, threads: int =
         groups=np.array([e.instance_idx if e.instance_idx < groups else -1 for e in estimates], np.int64),
         estimated_fractions=np.array([estimate.visible_fraction for estimate in estimates], np.float64),
         verdicts=_verdicts(estimates),
-        doubts=np.array([[e.mismatch.patch, e.mismatch.stray, e.noise] for e in estimates], np.float64).reshape(-1, 3),
+        doubts=_doubts(estimates),
         verified=np.array(result.verified, np.bool_),
         pixels=scene.boundary.pixels,
         picture=frame.grey[v0:v1, u0:u1],
@@ -280,6 +280,11 @@ def _trial_ms(method: PoseMethod, boundary: BoundaryCloud, chosen: Sequence[Inst
 def _verdicts(estimates: Sequence[PoseEstimate]) -> Floats:
     rows = [[*(getattr(e.verdict, name) for name in VERDICT), e.margin, e.score_drop, e.size] for e in estimates]
     return np.array(rows, np.float64).reshape(-1, len(VERDICT_COLUMNS))
+
+
+def _doubts(estimates: Sequence[PoseEstimate]) -> Floats:
+    rows = [[e.mismatch.patch, e.mismatch.stray, e.noise, e.expected_error.rotation] for e in estimates]
+    return np.array(rows, np.float64).reshape(-1, len(DOUBT_COLUMNS))
 
 
 def _save_record(config: PoseEvaluationConfig, folder: Path, threads: int, picture: bool, index: int) -> int:

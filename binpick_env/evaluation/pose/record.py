@@ -16,7 +16,7 @@ FORMAT = RecordFormat(kind="pose record", version=2, remedy="evaluate_pose makes
 STAGES = ("boundary", "surface", "segmentation", "pose", "trials", "explanation", "total")
 VERDICT = ("edge_score", "explained", "support", "violation", "measured")
 VERDICT_COLUMNS = (*VERDICT, "margin", "score_drop", "size")
-DOUBT_COLUMNS = ("patch", "stray", "noise")
+DOUBT_COLUMNS = ("patch", "stray", "noise", "rotation_error")
 TRIALS = 3  # recognition trials in each scene, as in the paper
 _INTS = {"labels": np.int32, "explained": np.int32, "instance_ids": np.int16, "pixels": np.int16}  # stored types
 _PLAIN = ("confidences", "explained_confidences", "visible_fractions", "T_cam_parts", "trials", "poses", "scores")
@@ -44,7 +44,7 @@ class PoseRecord:
         groups: (E,) int64 group that each pose was found in; -1 for the whole scene, and for what poses left over.
         estimated_fractions: (E,) visible fraction that the estimator assigns to each pose.
         verdicts: (E, 8) verification results of each pose, in the order of `VERDICT_COLUMNS`.
-        doubts: (E, 3) what lowers the score of each pose beside its verdict, in the order of `DOUBT_COLUMNS`; NaN in
+        doubts: (E, 4) what lowers the score of each pose beside its verdict, in the order of `DOUBT_COLUMNS`; NaN in
             records of older versions.
         verified: (E,) bool, whether the estimator returns the pose.
         pixels: (N, 2) int64 pixel (u, v) of each point.
@@ -167,8 +167,9 @@ class PoseRecord:
 
     @classmethod
     def _from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "PoseRecord":
-        if "doubts" not in arrays:  # a record of an older version
-            arrays = arrays | {"doubts": np.full((len(arrays["poses"]), len(DOUBT_COLUMNS)), np.nan)}
+        doubts = arrays.get("doubts", np.zeros((len(arrays["poses"]), 0)))
+        older = np.full((len(doubts), len(DOUBT_COLUMNS) - doubts.shape[1]), np.nan)  # columns it does not have yet
+        arrays = arrays | {"doubts": np.column_stack([doubts, older])}
         fields: dict[str, Any] = {name: arrays[_STORED_NAMES.get(name, name)] for name in _ARRAYS}
         return cls(
             **(fields | {name: fields[name].astype(np.int64) for name in _INTS}),

@@ -150,6 +150,67 @@ def descend_surface(
 
 
 @njit(cache=True, nogil=True)
+def joint_equations(
+    T: Floats,
+    edge_points: Floats,
+    edge_tangents: Floats,
+    boundary: Floats,
+    boundary_tangents: Floats,
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    origin: Floats,
+    cell: float,
+    match_gate: float,
+    min_edge_cosine: float,
+    edge_gate: float,
+    edge_weight: float,
+    points: Floats,
+    normals: Floats,
+    visible: NDArray[np.bool_],
+    depth: Singles,
+    K: Floats,
+    surface_gate: float,
+    patch: int,
+    centre: Floats,
+    d_max: float,
+) -> tuple[Floats, Floats, float, float, int]:
+    """Match edges and surface in a pose.
+
+    Returns:
+        The normal equations (6, 6), (6,) of the weighted distances of edges in the image and those of patches of the
+        depth; the sum of their squares without weights [m^2], the sum of the weights, and the number of matches.
+    """
+    matches = match_edges(
+        T,
+        edge_points,
+        edge_tangents,
+        boundary,
+        boundary_tangents,
+        starts,
+        shape,
+        origin,
+        cell,
+        match_gate,
+        min_edge_cosine,
+    )
+    pivot = np.zeros(3)
+    pivot[0], pivot[1], pivot[2] = apply(T, centre[0], centre[1], centre[2])
+    edge_hessian, edge_gradient, edge_total, edge_count = sight_equations(
+        T, edge_points, matches, boundary, boundary_tangents, edge_gate, pivot, d_max / 2
+    )
+    hessian, gradient, total, count = patch_equations(
+        T, points, normals, visible, depth, K, surface_gate, patch, pivot, d_max / 2
+    )
+    return (
+        edge_weight * edge_hessian + hessian,
+        edge_weight * edge_gradient + gradient,
+        edge_total + total,
+        edge_weight * edge_count + count,
+        edge_count + count,
+    )
+
+
+@njit(cache=True, nogil=True)
 def descend_jointly(
     T: Floats,
     edge_points: Floats,
@@ -186,7 +247,7 @@ def descend_jointly(
     steps, settled = 0, False
     while True:
         # Matches and normal equations in the present pose.
-        matches = match_edges(
+        hessian, gradient, total, weights, count = joint_equations(
             T,
             edge_points,
             edge_tangents,
@@ -198,27 +259,25 @@ def descend_jointly(
             cell,
             match_gate,
             min_edge_cosine,
+            edge_gate,
+            edge_weight,
+            points,
+            normals,
+            visible,
+            depth,
+            K,
+            surface_gate,
+            patch,
+            centre,
+            d_max,
         )
-        pivot[0], pivot[1], pivot[2] = apply(T, centre[0], centre[1], centre[2])
-        edge_hessian, edge_gradient, edge_total, edge_count = sight_equations(
-            T, edge_points, matches, boundary, boundary_tangents, edge_gate, pivot, d_max / 2
-        )
-        hessian, gradient, total, count = patch_equations(
-            T, points, normals, visible, depth, K, surface_gate, patch, pivot, d_max / 2
-        )
-        both = edge_count + count
-        if settled or steps == iterations or both < MIN_MATCHES:
+        if settled or steps == iterations or count < MIN_MATCHES:
             break
         # One step; its length is that of the motion as a share of d_max.
-        weights = edge_weight * edge_count + count
-        motion = gauss_newton_step(
-            (edge_weight * edge_hessian + hessian) / weights,
-            (edge_weight * edge_gradient + gradient) / weights,
-            damping,
-            observable,
-        )
+        motion = gauss_newton_step(hessian / weights, gradient / weights, damping, observable)
+        pivot[0], pivot[1], pivot[2] = apply(T, centre[0], centre[1], centre[2])
         T = moved(T, motion, pivot, d_max / 2)
         length = np.sqrt(np.sum(motion**2)) / d_max
         steps += 1
         settled = length < still
-    return T, steps, both >= MIN_MATCHES and length < SETTLED, edge_total + total, both
+    return T, steps, count >= MIN_MATCHES and length < SETTLED, total, count

@@ -17,6 +17,7 @@ COEFFICIENTS = (
     "score_drop",
     "close_score_drop",
     "size",
+    "rotation_error",
 )
 
 
@@ -35,8 +36,11 @@ class ConfidenceConfig:
         score_drop: Coefficient of the score drop under perturbation, clipped to ``clear``.
         close_score_drop: Coefficient of the same score drop, clipped to ``close``.
         size: Coefficient of the natural logarithm of the number of boundary points of the group after thinning.
+        rotation_error: Coefficient of the expected error of the rotation beyond ``exact``, up to ``unknown`` [1/rad].
         clear: Margin and score drop beyond which more of them says nothing, in units of the logit.
         close: Margin and score drop up to which little more of them says much, in units of the logit.
+        exact: Expected error of the rotation up to which it says nothing [rad].
+        unknown: Expected error of the rotation beyond which more of it says nothing [rad].
         patch: Number of samples up to which a patch that the camera saw through says nothing.
         patch_weight: Coefficient of each further sample of such a patch.
         stray: Share of the group's boundary points off the part, before its surface, up to which they say nothing.
@@ -59,8 +63,11 @@ class ConfidenceConfig:
     score_drop: float = 0.289
     close_score_drop: float = 1.225
     size: float = 0.533
+    rotation_error: float = -60.0
     clear: float = 3.0
     close: float = 1.0
+    exact: float = float(np.deg2rad(1.35))
+    unknown: float = float(np.deg2rad(14.0))
     patch: float = 5.0
     patch_weight: float = -0.6
     stray: float = 0.03
@@ -74,6 +81,8 @@ class ConfidenceConfig:
                 raise ValueError(f"{name} must be finite, got {getattr(self, name)}")
         if not 0 < self.close < self.clear < np.inf:
             raise ValueError(f"0 < close < clear is required, got {self.close} and {self.clear}")
+        if not 0 <= self.exact < self.unknown < np.inf:
+            raise ValueError(f"0 <= exact < unknown is required, got {self.exact} and {self.unknown}")
         for name in ("patch", "stray", "noise"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
@@ -88,6 +97,7 @@ def confidence(
     size: int,
     config: ConfidenceConfig | None = None,
     penalty: float = 0.0,
+    rotation_error: float = 0.0,
 ) -> float:
     """Return the probability that a pose is right, in [0, 1].
 
@@ -98,18 +108,21 @@ def confidence(
         size: Number of boundary points of the group after thinning.
         config: Coefficients; the defaults of :class:`ConfidenceConfig` if None.
         penalty: Term that is added to the weighted sum; see :func:`mismatch_penalty`.
+        rotation_error: Standard deviation of the rotation in its worst direction [rad]; see
+            `perception.pose.verification.expected_error`.
 
     Raises:
-        ValueError: ``size`` is not positive, or ``margin`` or ``score_drop`` is NaN.
+        ValueError: ``size`` is not positive, or ``margin``, ``score_drop`` or ``rotation_error`` is NaN.
     """
     config = config or ConfidenceConfig()
     if size < 1:
         raise ValueError(f"size must be at least 1, got {size}")
-    for name, value in (("margin", margin), ("score_drop", score_drop)):
+    for name, value in (("margin", margin), ("score_drop", score_drop), ("rotation_error", rotation_error)):
         if np.isnan(value):
             raise ValueError(f"{name} must not be NaN, got {value}")
     verdicts = np.array([[verdict.edge_score, verdict.support, verdict.violation]])
-    found = predictors(verdicts, np.array([margin]), np.array([score_drop]), np.array([size]), config)
+    rotation_errors = np.array([rotation_error])
+    found = predictors(verdicts, np.array([margin]), np.array([score_drop]), np.array([size]), rotation_errors, config)
     return float(confidences(found, config, penalty)[0])
 
 
@@ -127,28 +140,35 @@ def mismatch_penalty(mismatch: Mismatch, noise: float, config: ConfidenceConfig)
 
 
 def predictors(
-    verdicts: Floats, margins: Floats, score_drops: Floats, sizes: Floats, config: ConfidenceConfig
+    verdicts: Floats,
+    margins: Floats,
+    score_drops: Floats,
+    sizes: Floats,
+    rotation_errors: Floats,
+    config: ConfidenceConfig,
 ) -> Floats:
-    """Return the (E, 8) predictors of the regression, in the order of `COEFFICIENTS`.
+    """Return the (E, 9) predictors of the regression, in the order of `COEFFICIENTS`.
 
     Args:
         verdicts: (E, 3) edge score, support and violation of each pose.
         margins: (E,) margin of each pose.
         score_drops: (E,) score drop of each pose.
         sizes: (E,) number of boundary points of each group after thinning, at least 1.
-        config: Limits to which margins and score drops are clipped.
+        rotation_errors: (E,) expected error of each pose's rotation [rad].
+        config: Limits to which margins, score drops and expected errors are clipped.
     """
     clipped = [
         np.clip(values, -limit, limit) for values in (margins, score_drops) for limit in (config.clear, config.close)
     ]
-    return np.column_stack([verdicts, *clipped, np.log(sizes)])
+    beyond = np.clip(rotation_errors - config.exact, 0.0, config.unknown - config.exact)
+    return np.column_stack([verdicts, *clipped, np.log(sizes), beyond])
 
 
 def confidences(predicted_by: Floats, config: ConfidenceConfig, penalty: float | Floats = 0.0) -> Floats:
-    """Return the (E,) probability that each pose is right, from its (E, 8) :func:`predictors`.
+    """Return the (E,) probability that each pose is right, from its (E, 9) :func:`predictors`.
 
     Args:
-        predicted_by: (E, 8) predictors.
+        predicted_by: (E, 9) predictors.
         config: Coefficients.
         penalty: Term that is added to the weighted sums, one or (E,).
     """

@@ -5,6 +5,7 @@ depth, and tells what a noisy depth does not: the two motions across the line of
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -76,6 +77,22 @@ class JointRefinement:
             raise ValueError(f"min_matched must be in [0, 1], got {self.min_matched}")
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JointView:
+    """What is matched with a frame in a pose and in those near it.
+
+    Attributes:
+        arguments: Arguments of `_descent_kernels.joint_equations` after the pose: edges and surface as seen in it,
+            and the frame, with gates and weights.
+        samples: Number of edge points and visible surface samples.
+        depth_noise: Standard deviation of the distance of a patch of the depth [m].
+    """
+
+    arguments: tuple[Any, ...]
+    samples: int
+    depth_noise: float
+
+
 def refine_jointly(
     T_cam_part: Floats,
     edges: SeenEdges,
@@ -100,40 +117,50 @@ def refine_jointly(
     """
     config = config or JointRefinement()
     T = require_pose(T_cam_part)
-    frame = group.frame
-    require_depth(frame)
-    d_max = surface.d_max
-    # What a pixel measures across the line of sight, at the part's centre; its origin may be far away.
-    depth = float(T[2, :3] @ surface.centre + T[2, 3])
-    pixel = max(depth, NEAR) / float(frame.K[0, 0])
-    edge_noise, patch = config.edge_noise * pixel, min(config.patch, int(PATCH * d_max / pixel))
-    steps, settled, total, count, wanted = 0, False, 0.0, 0, 0
+    require_depth(group.frame)
+    descent = (config.iterations, config.damping, config.observable, config.still)
+    steps, settled, total, count, samples = 0, False, 0.0, 0, 0
     for share in config.edge_gates:
-        points, tangents = edges.seen_from(view_direction(T, edges.centre))
-        visible = surface.visible(T)
-        T, taken, settled, total, count = _descent_kernels.descend_jointly(
-            T,
-            points,
-            tangents,
-            *group.boundary.arrays,
-            max(config.match_gate * d_max, 4 * config.depth_noise),
-            float(np.cos(config.max_angle)),
-            max(share * d_max, 3 * edge_noise),
-            (config.averaged * config.depth_noise / edge_noise) ** 2,
-            surface.points,
-            surface.normals,
-            visible,
-            frame.depth,
-            frame.K,
-            max(config.surface_gate * d_max, 3 * config.depth_noise),
-            patch,
-            surface.centre,
-            d_max,
-            config.iterations,
-            config.damping,
-            config.observable,
-            config.still,
-        )
-        steps += taken
-        wanted = len(points) + int(np.count_nonzero(visible))
-    return refined_pose(T, total, count, steps, settled, config.min_matched * wanted)
+        view = joint_view(T, edges, surface, group, config, share)
+        arguments = (T, *view.arguments, *descent)
+        T, taken, settled, total, count = _descent_kernels.descend_jointly(*arguments)
+        steps, samples = steps + taken, view.samples
+    return refined_pose(T, total, count, steps, settled, config.min_matched * samples)
+
+
+def joint_view(
+    T_cam_part: Floats,
+    edges: SeenEdges,
+    surface: SurfaceModel,
+    group: ObservedGroup,
+    config: JointRefinement,
+    edge_gate: float,
+) -> JointView:
+    """Return what is matched with a frame in a (4, 4) pose, with edges up to a share of d_max off."""
+    frame, d_max = group.frame, surface.d_max
+    # What a pixel measures across the line of sight, at the part's centre; its origin may be far away.
+    depth = float(T_cam_part[2, :3] @ surface.centre + T_cam_part[2, 3])
+    pixel = max(depth, NEAR) / float(frame.K[0, 0])
+    edge_noise, depth_noise = config.edge_noise * pixel, config.averaged * config.depth_noise
+    points, tangents = edges.seen_from(view_direction(T_cam_part, edges.centre))
+    visible = surface.visible(T_cam_part)
+    arguments = (
+        points,
+        tangents,
+        *group.boundary.arrays,
+        max(config.match_gate * d_max, 4 * config.depth_noise),
+        float(np.cos(config.max_angle)),
+        max(edge_gate * d_max, 3 * edge_noise),
+        (depth_noise / edge_noise) ** 2,
+        surface.points,
+        surface.normals,
+        visible,
+        frame.depth,
+        frame.K,
+        max(config.surface_gate * d_max, 3 * config.depth_noise),
+        min(config.patch, int(PATCH * d_max / pixel)),
+        surface.centre,
+        d_max,
+    )
+    samples = len(points) + int(np.count_nonzero(visible))
+    return JointView(arguments=arguments, samples=samples, depth_noise=depth_noise)

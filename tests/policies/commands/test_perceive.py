@@ -25,6 +25,8 @@ def test_poses_are_printed_and_written(folder: Path) -> None:
     scores = [pose["score"] for pose in frame["poses"]]
     assert scores == sorted(scores, reverse=True)
     for pose in frame["poses"]:
+        assert 0 < pose["expected_error"]["rotation"] < 0.2
+        assert 0 < pose["expected_error"]["translation"] < 0.002
         errors = [pose_error(np.array(pose["T_cam_part"]), T, ELL).translation for T in POSES]
         assert min(errors) < 0.001
         assert pose["T_world_part"] == pose["T_cam_part"]  # the camera's frame is the world

@@ -30,11 +30,16 @@ TRUTH = ConfidenceConfig(
     score_drop=0.8,
     close_score_drop=-0.6,
     size=0.4,
+    rotation_error=-120.0,
 )
 
 
+UNITS = np.array([np.pi / 180 if name == "rotation_error" else 1.0 for name in COEFFICIENTS])
+
+
 def coefficients(config: ConfidenceConfig) -> list[float]:
-    return [getattr(config, name) for name in COEFFICIENTS]
+    """Return the coefficients, that of the expected error in units of degrees like the others in size."""
+    return [getattr(config, name) * UNITS[k] for k, name in enumerate(COEFFICIENTS)]
 
 
 def drawn(count: int = 40_000) -> Sample:
@@ -43,7 +48,7 @@ def drawn(count: int = 40_000) -> Sample:
     predictors = rng.uniform(0, 1, (count, len(coefficients(TRUTH))))
     chance = 1 / (1 + np.exp(-(TRUTH.bias + predictors @ np.array(coefficients(TRUTH)))))
     right = rng.uniform(size=count) < chance
-    return sample_of(predictors, right)
+    return sample_of(predictors * UNITS, right)
 
 
 def sample_of(predictors: Floats, right: NDArray[np.bool_], missed: int = 0) -> Sample:
@@ -98,6 +103,7 @@ def test_a_sample_is_loaded_from_records(tmp_path: Path) -> None:
     doubts = np.zeros((3, len(DOUBT_COLUMNS)))
     doubts[:, DOUBT_COLUMNS.index("patch")] = (0.0, 7.0, 4.0)
     doubts[:, DOUBT_COLUMNS.index("noise")] = 0.002
+    doubts[:, DOUBT_COLUMNS.index("rotation_error")] = (0.0, 0.1, 9.0)
     changes = estimates(poses, [0.9, 0.8, 0.7], [0, 1, 2]) | {"verdicts": verdicts, "doubts": doubts}
     record(**changes).save(record_path(tmp_path, 0))
     sample = load_sample(tmp_path, bracket())
@@ -112,13 +118,14 @@ def test_a_sample_is_loaded_from_records(tmp_path: Path) -> None:
     np.testing.assert_allclose(sample.predictors[:, 5], [-3.0, 3.0, 0.25])
     np.testing.assert_allclose(sample.predictors[:, 6], [-1.0, 1.0, 0.25])
     np.testing.assert_allclose(sample.predictors[:, 7], [0.0, 1.0, np.log(100.0)])
+    exact, unknown = ConfidenceConfig().exact, ConfidenceConfig().unknown
+    np.testing.assert_allclose(sample.predictors[:, 8], [0.0, 0.1 - exact, unknown - exact])
 
 
 def test_a_record_of_an_older_version_is_refused(tmp_path: Path) -> None:
     record(doubts=np.full((4, len(DOUBT_COLUMNS)), np.nan)).save(record_path(tmp_path, 0))
-    with pytest.raises(
-        ValueError, match=r"scene_00000.npz is of an older version, without mismatch and noise: run binpick"
-    ):
+    message = r"scene_00000.npz is of an older version, without mismatch, noise or expected error: run binpick"
+    with pytest.raises(ValueError, match=message):
         load_sample(tmp_path, bracket())
 
 

@@ -28,8 +28,11 @@ PLAIN = ConfidenceConfig(
     score_drop=-1.5,
     close_score_drop=0.125,
     size=0.25,
+    rotation_error=-40.0,
     clear=3.0,
     close=1.0,
+    exact=0.02,
+    unknown=0.2,
 )
 
 
@@ -72,15 +75,19 @@ def test_predictors_by_hand() -> None:
         np.array([2.0, -np.inf]),
         np.array([0.25, np.inf]),
         np.array([7, 1]),
+        np.array([0.05, 2.0]),
         PLAIN,
     )
-    expected = [[0.5, 0.75, 0.125, 2.0, 1.0, 0.25, 0.25, np.log(7)], [0.1, 0.2, 0.3, -3.0, -1.0, 3.0, 1.0, 0.0]]
+    expected = [
+        [0.5, 0.75, 0.125, 2.0, 1.0, 0.25, 0.25, np.log(7), 0.05 - 0.02],
+        [0.1, 0.2, 0.3, -3.0, -1.0, 3.0, 1.0, 0.0, 0.2 - 0.02],
+    ]
     np.testing.assert_array_equal(found, expected)
 
 
 def test_each_coefficient_weighs_its_own_predictor() -> None:
-    values = np.array([[0.5, 0.75, 0.125, 2.0, 1.0, 1.5, 0.875, np.log(7)]])
-    limits = {"clear", "close", "patch", "stray", "noise"}
+    values = np.array([[0.5, 0.75, 0.125, 2.0, 1.0, 1.5, 0.875, np.log(7), 0.03]])
+    limits = {"clear", "close", "exact", "unknown", "patch", "stray", "noise"}
     penalties = {"patch_weight", "stray_weight", "noise_weight"}
     assert set(COEFFICIENTS) == {f.name for f in fields(PLAIN)} - {"bias"} - limits - penalties
     for place, name in enumerate(COEFFICIENTS):
@@ -104,6 +111,13 @@ def test_agreement_raises_the_confidence_and_violation_lowers_it() -> None:
     assert confidence(VERDICT, 0.0, DROP, 60) < sure < confidence(VERDICT, 2.0, DROP, 60)
     assert confidence(VERDICT, 1.0, DROP, 20) < sure < confidence(VERDICT, 1.0, DROP, 200)
     assert confidence(VERDICT, 1.0, 0.5, 60) < sure < confidence(VERDICT, 1.0, 2.5, 60)
+
+
+def test_a_rotation_that_noise_leaves_open_lowers_the_confidence() -> None:
+    def sure(degrees: float) -> float:
+        return confidence(VERDICT, 1.0, DROP, 60, rotation_error=float(np.deg2rad(degrees)))
+
+    assert sure(0.0) == sure(1.0) > sure(3.0) > sure(6.0) > sure(20.0) == sure(90.0)
 
 
 @pytest.mark.parametrize(("name", "more"), [("patch", 3), ("stray", 0.05), ("noise", 0.0005)])
@@ -136,6 +150,17 @@ def test_structure_that_does_not_match_and_noise_lower_the_confidence(name: str,
 def test_a_mismatch_that_helps_is_refused(name: str, value: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(PLAIN, **{name: value})
+
+
+@pytest.mark.parametrize("limits", [{"exact": 0.3}, {"exact": -0.1}, {"unknown": np.inf}])
+def test_limits_of_the_expected_error_in_the_wrong_order_are_refused(limits: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="0 <= exact < unknown is required, got"):
+        replace(PLAIN, **limits)
+
+
+def test_an_expected_error_that_is_nan_is_refused() -> None:
+    with pytest.raises(ValueError, match="rotation_error must not be NaN, got nan"):
+        confidence(VERDICT, 1.0, DROP, 60, rotation_error=np.nan)
 
 
 def test_extremes_stay_in_bounds() -> None:
