@@ -146,7 +146,7 @@ class EdgePoseEstimator:
         seen = self._edges.seen_from(view_direction(T, self._edges.centre))
         gate, max_angle = limits.edge_distance * self.part.d_max, limits.edge_angle
         matched = index.match(T, *seen, gate=gate, max_angle=max_angle) >= 0
-        explained = explained_points(T, *seen, points, tangents, gate, float(np.cos(max_angle)))
+        explained = explained_points(T, *seen, points, tangents, gate, gate, float(np.cos(max_angle)))
         shares = [float(np.mean(mask)) if len(mask) else 0.0 for mask in (explained, matched)]
         verified = shares[0] >= self.config.min_explained and shares[1] >= self.config.min_edges
         return EdgePose(

@@ -10,12 +10,21 @@ def posed(T, points, normals):
     return points @ T[:3, :3].T + T[:3, 3], normals @ T[:3, :3].T
 
 
-def match_edges(T, points, tangents, boundary, boundary_tangents, gate, min_cosine):
+def gated_distance(offset, sight, gate, depth_gate):
+    """Return the length of an offset whose part along a line of sight counts in the ratio of the two gates."""
+    ray = sight / np.linalg.norm(sight)
+    along = (offset @ ray) * ray
+    return np.linalg.norm(offset - along + along * gate / depth_gate)
+
+
+def match_edges(T, points, tangents, boundary, boundary_tangents, gate, min_cosine, depth_gate=None):
     """Return (M,) the nearest of all boundary points of like tangent, or -1."""
     matches = []
     for p, t in zip(*posed(T, points, tangents), strict=True):
         like = [
-            (math.dist(p, boundary[k]), k) for k in range(len(boundary)) if abs(t @ boundary_tangents[k]) >= min_cosine
+            (gated_distance(boundary[k] - p, p, gate, depth_gate or gate), k)
+            for k in range(len(boundary))
+            if abs(t @ boundary_tangents[k]) >= min_cosine
         ]
         near = [found for found in like if found[0] <= gate]
         matches.append(min(near)[1] if near else -1)
@@ -169,12 +178,12 @@ def occluded_points(T, points, matches, depth, K, tolerance, radius):
     return np.array(occluded, bool)
 
 
-def explained_points(T, points, tangents, boundary, boundary_tangents, gate, min_cosine):
+def explained_points(T, points, tangents, boundary, boundary_tangents, gate, depth_gate, min_cosine):
     """Return (N,) whether any posed point of like tangent is near."""
     points_cam, tangents_cam = posed(T, points, tangents)
     explained = []
     for q, t in zip(boundary, boundary_tangents, strict=True):
-        near = [math.dist(p, q) <= gate for p in points_cam]
+        near = [gated_distance(p - q, q, gate, depth_gate) <= gate for p in points_cam]
         explained.append(any(n and abs(s @ t) >= min_cosine for n, s in zip(near, tangents_cam, strict=True)))
     return np.array(explained, bool)
 

@@ -93,7 +93,7 @@ def descend_edges(
     while True:
         # Matches and normal equations in the present pose.
         matches = match_edges(
-            T, points, tangents, boundary, boundary_tangents, starts, shape, origin, cell, gate, min_cosine
+            T, points, tangents, boundary, boundary_tangents, starts, shape, origin, cell, gate, gate, min_cosine
         )
         pivot[0], pivot[1], pivot[2] = apply(T, centre[0], centre[1], centre[2])
         hessian, gradient, total, count = line_equations(
@@ -190,6 +190,7 @@ def joint_equations(
         shape,
         origin,
         cell,
+        match_gate,
         match_gate,
         min_edge_cosine,
     )

@@ -16,6 +16,18 @@ END_ON = 0.3  # sine of the angle between the line of sight and an edge up to wh
 
 
 @njit(cache=True, nogil=True)
+def gated_square(
+    dx: float, dy: float, dz: float, x: float, y: float, z: float, gate: float, depth_gate: float
+) -> float:
+    """Return the squared length of an offset whose part along the line of sight to (x, y, z) is reduced."""
+    square = dx**2 + dy**2 + dz**2
+    if depth_gate > gate:
+        along = dx * x + dy * y + dz * z
+        square -= along * along / (x * x + y * y + z * z) * (1.0 - (gate / depth_gate) ** 2)
+    return square
+
+
+@njit(cache=True, nogil=True)
 def match_edges(
     T: Floats,
     points: Floats,
@@ -27,10 +39,13 @@ def match_edges(
     origin: Floats,
     cell: float,
     gate: float,
+    depth_gate: float,
     min_cosine: float,
 ) -> Ints:
     """Return (M,) index of the nearest boundary point of like tangent within ``gate`` [m] of each model point, or -1.
 
+    Along the line of sight it may be off by ``depth_gate`` [m], at least ``gate``: distances along it count in the ratio
+    of the two.
     The boundary points are sorted by square cells of ``(x / z, y / z)``. Those of cell (r, c) begin at
     ``starts[r * columns + c]`` and end where the next cell begins. Of equally near points the first one is the match.
     """
@@ -40,11 +55,11 @@ def match_edges(
         # The model point and its tangent in the camera frame.
         x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
         a, b, c = rotate(T, tangents[m, 0], tangents[m, 1], tangents[m, 2])
-        if z <= NEAR + gate:
+        if z <= NEAR + depth_gate:
             continue
-        # The rectangle of cells that the camera sees a ball of radius gate in.
+        # The rectangle of cells that the camera sees an ellipsoid with these semi-axes in.
         u, v = x / z, y / z
-        half_u, half_v = gate * (1.0 + abs(u)) / (z - gate), gate * (1.0 + abs(v)) / (z - gate)
+        half_u, half_v = gate * (1.0 + abs(u)) / (z - depth_gate), gate * (1.0 + abs(v)) / (z - depth_gate)
         left = max(np.floor((u - half_u - origin[0]) / cell), 0.0)
         right = min(np.floor((u + half_u - origin[0]) / cell), columns - 1.0)
         top = max(np.floor((v - half_v - origin[1]) / cell), 0.0)
@@ -55,7 +70,9 @@ def match_edges(
         nearest = gate * gate
         for row in range(int(top), int(bottom) + 1):
             for k in range(starts[row * columns + int(left)], starts[row * columns + int(right) + 1]):
-                square = (boundary[k, 0] - x) ** 2 + (boundary[k, 1] - y) ** 2 + (boundary[k, 2] - z) ** 2
+                square = gated_square(
+                    boundary[k, 0] - x, boundary[k, 1] - y, boundary[k, 2] - z, x, y, z, gate, depth_gate
+                )
                 if square > nearest or (square == nearest and out[m] >= 0):
                     continue
                 along = a * boundary_tangents[k, 0] + b * boundary_tangents[k, 1] + c * boundary_tangents[k, 2]

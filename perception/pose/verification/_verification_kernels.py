@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from perception.geometry import NEAR, Floats
 from perception.pose._transform_kernels import Ints, Singles, apply, rotate
+from perception.pose.verification._refine_kernels import gated_square
 
 
 @njit(cache=True, nogil=True)
@@ -50,9 +51,13 @@ def explained_points(
     boundary: Floats,
     boundary_tangents: Floats,
     gate: float,
+    depth_gate: float,
     min_cosine: float,
 ) -> NDArray[np.bool_]:
-    """Return (N,) whether each boundary point has a posed model point of like tangent within ``gate`` [m]."""
+    """Return (N,) whether each boundary point has a posed model point of like tangent within ``gate`` [m].
+
+    Along the line of sight it may be off by ``depth_gate`` [m], at least ``gate``.
+    """
     # Model points and tangents in the camera frame.
     posed = np.empty((len(points), 6))
     for m in range(len(points)):
@@ -64,7 +69,7 @@ def explained_points(
         x, y, z = boundary[n, 0], boundary[n, 1], boundary[n, 2]
         a, b, c = boundary_tangents[n, 0], boundary_tangents[n, 1], boundary_tangents[n, 2]
         for m in range(len(posed)):
-            square = (posed[m, 0] - x) ** 2 + (posed[m, 1] - y) ** 2 + (posed[m, 2] - z) ** 2
+            square = gated_square(posed[m, 0] - x, posed[m, 1] - y, posed[m, 2] - z, x, y, z, gate, depth_gate)
             if square <= gate * gate and abs(posed[m, 3] * a + posed[m, 4] * b + posed[m, 5] * c) >= min_cosine:
                 out[n] = True
                 break

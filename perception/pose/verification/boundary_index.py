@@ -42,7 +42,14 @@ class BoundaryIndex:
         return self.points_cam, self.tangents_cam, self.starts, self.shape, self.origin, self.cell
 
     def match(
-        self, T_cam_part: Floats, points: Floats, tangents: Floats, *, gate: float, max_angle: float
+        self,
+        T_cam_part: Floats,
+        points: Floats,
+        tangents: Floats,
+        *,
+        gate: float,
+        max_angle: float,
+        depth_gate: float = 0.0,
     ) -> NDArray[np.int64]:
         """Return (M,) indices into ``points_cam`` of the nearest boundary point of like tangent, -1 for none.
 
@@ -52,6 +59,7 @@ class BoundaryIndex:
             tangents: (M, 3) unit tangents of the model points, sign arbitrary.
             gate: Largest distance of a match [m].
             max_angle: Largest angle between the tangents of a match as lines [rad].
+            depth_gate: Largest distance along the line of sight, if it is more than ``gate`` [m].
         """
         return _refine_kernels.match_edges(
             T_cam_part,
@@ -59,6 +67,7 @@ class BoundaryIndex:
             tangents,
             *self.arrays,
             gate,
+            max(gate, depth_gate),
             float(np.cos(max_angle)),
         )
 

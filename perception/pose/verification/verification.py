@@ -14,6 +14,7 @@ from perception.pose.verification.boundary_index import BoundaryIndex
 from perception.pose.verification.refinement import require_depth, require_pose, view_direction
 
 TOLERANCE = 3.0  # gap between two surfaces that agree, in standard deviations of the sensor's depth
+EDGE_TOLERANCE = 4.5  # depth of an edge that agrees, off by at most so many of them; its place in the image is exact
 OCCLUSION_RADIUS = 2  # an edge point is occluded if everything measured within this window lies before it [px]
 
 
@@ -178,13 +179,14 @@ def edge_scores(
     T = require_pose(T_cam_part)
     points, tangents = edges.seen_from(view_direction(T, edges.centre))
     gate, min_cosine = config.edge_distance * edges.d_max, float(np.cos(config.edge_angle))
-    matches = group.boundary.match(T, points, tangents, gate=gate, max_angle=config.edge_angle)
+    depth_gate = max(gate, EDGE_TOLERANCE * config.noise)
+    matches = group.boundary.match(T, points, tangents, gate=gate, max_angle=config.edge_angle, depth_gate=depth_gate)
     occluded = _verification_kernels.occluded_points(
         T, points, matches, group.frame.depth, group.frame.K, surface_tolerance(edges.d_max, config), OCCLUSION_RADIUS
     )
     matched, visible = np.count_nonzero(matches >= 0), len(points) - np.count_nonzero(occluded)
     explained = _verification_kernels.explained_points(
-        T, points, tangents, group.points_cam, group.tangents_cam, gate, min_cosine
+        T, points, tangents, group.points_cam, group.tangents_cam, gate, depth_gate, min_cosine
     )
     return float(matched / visible) if visible else 0.0, float(np.mean(explained)) if len(explained) else 0.0
 

@@ -13,15 +13,16 @@ MODEL = at.wire_model(ELL)
 LEANING = at.pose_of(ELL, rotation_about((1.0, 0.5, 0.0), 2.5))
 
 
-@pytest.mark.parametrize("gate", [0.001, 0.01, 0.03])
-def test_matches_are_those_of_the_twin(gate: float) -> None:
+@pytest.mark.parametrize(("gate", "depth_gate"), [(0.001, 0.0), (0.01, 0.0), (0.03, 0.0), (0.003, 0.02), (0.01, 0.03)])
+def test_matches_are_those_of_the_twin(gate: float, depth_gate: float) -> None:
     rng = np.random.default_rng(5)
     points, tangents = at.scattered(rng)
     index = index_boundary(points, tangents, ELL.d_max)
     for _ in range(3):
         T = at.random_pose(ELL, rng)
-        found = index.match(T, MODEL.points, MODEL.tangents, gate=gate, max_angle=0.6)
-        expected = twin.match_edges(T, MODEL.points, MODEL.tangents, points, tangents, gate, np.cos(0.6))
+        found = index.match(T, MODEL.points, MODEL.tangents, gate=gate, max_angle=0.6, depth_gate=depth_gate)
+        arguments = (T, MODEL.points, MODEL.tangents, points, tangents, gate, np.cos(0.6))
+        expected = twin.match_edges(*arguments, max(gate, depth_gate))
         assert np.where(found >= 0, index.order[found], -1).tolist() == expected.tolist()
         assert gate == 0.001 or (expected >= 0).any()
 

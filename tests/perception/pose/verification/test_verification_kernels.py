@@ -88,22 +88,35 @@ def test_a_point_is_explained_by_a_like_one_near_it() -> None:
         ((0.0, 0.0, 0.5), (0.85, 0.53, 0.0), False),
         ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0), False),
     ):
-        found = kernels.explained_points(T, points, tangents, np.array([place]), np.array([along]), 0.001, 0.9)
+        found = kernels.explained_points(T, points, tangents, np.array([place]), np.array([along]), 0.001, 0.001, 0.9)
         assert found.tolist() == [explained], (place, along)
 
 
-@pytest.mark.parametrize("gate", [0.002, 0.01])
-def test_explained_points_are_those_of_the_twin(gate: float) -> None:
+def test_a_point_is_explained_from_farther_away_along_the_line_of_sight() -> None:
+    points, tangents = np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]])
+    T = make_transform(None, (0.3, 0.0, 0.4))
+    ray, across = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
+    for offset, explained in ((0.0039 * ray, True), (0.0041 * ray, False), (0.0011 * across, False)):
+        place = T[:3, 3] + offset
+        found = kernels.explained_points(T, points, tangents, place[None], tangents, 0.001, 0.004, 0.9)
+        assert found.tolist() == [explained], offset
+
+
+@pytest.mark.parametrize(("gate", "depth_gate"), [(0.002, 0.002), (0.01, 0.01), (0.002, 0.008)])
+def test_explained_points_are_those_of_the_twin(gate: float, depth_gate: float) -> None:
     rng = np.random.default_rng(0)
     T = at.random_pose(ELL, rng)
     boundary, along = (a[::7] for a in at.wire_scene(T, ELL, rng, noise=0.001))
     along = along + 0.3 * rng.normal(size=along.shape)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    arguments = T, POINTS, TANGENTS, boundary, along, gate, 0.9
+    arguments = T, POINTS, TANGENTS, boundary, along, gate, depth_gate, 0.9
     found = kernels.explained_points(*arguments)
     assert found.tolist() == twin.explained_points(*arguments).tolist()
     assert 0.1 < found.mean() < 0.9
-    assert len(kernels.explained_points(T, POINTS, TANGENTS, np.zeros((0, 3)), np.zeros((0, 3)), gate, 0.9)) == 0
+    assert (
+        len(kernels.explained_points(T, POINTS, TANGENTS, np.zeros((0, 3)), np.zeros((0, 3)), gate, depth_gate, 0.9))
+        == 0
+    )
 
 
 def test_points_near_a_sample_by_hand() -> None:
