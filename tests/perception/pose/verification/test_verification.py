@@ -179,6 +179,19 @@ def test_what_a_pose_leaves_of_its_group_is_not_explained() -> None:
     assert verify(LEANING, MODEL, SURFACE, observed(SEEN, GROUP), strict).explained < 0.3
 
 
+def test_in_noisy_depth_an_edge_may_lie_deeper_but_not_elsewhere_in_the_image() -> None:
+    points, tangents = GROUP
+    deeper = points * (1 + 0.006 / np.linalg.norm(points, axis=1, keepdims=True))  # 6 mm along the line of sight
+    aside = points + np.array([0.006, 0.0, 0.0])
+    clean = scores(LEANING, points, tangents)
+    for quiet in (scores(LEANING, deeper, tangents), scores(LEANING, deeper, tangents, noise=0.001)):
+        assert quiet[0] < 0.9 * clean[0]  # some edges meet others
+        assert quiet[1] < 0.9 * clean[1]
+    assert scores(LEANING, deeper, tangents, noise=0.002)[0] > 0.97 * clean[0]
+    assert scores(LEANING, deeper, tangents, noise=0.002)[1] == clean[1] == 1.0
+    assert scores(LEANING, aside, tangents, noise=0.002)[1] < 0.9
+
+
 def test_only_edges_of_the_view_count() -> None:
     """A second copy of the edges, 5 mm aside, belongs to the view from behind."""
     direction = -(LEANING[:3, :3] @ ELL.centre + LEANING[:3, 3]) @ LEANING[:3, :3]
