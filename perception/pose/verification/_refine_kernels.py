@@ -45,8 +45,10 @@ def match_edges(
     """Return (M,) index of the nearest boundary point of like tangent within ``gate`` [m] of each model point, or -1.
 
     Along the line of sight it may be off by ``depth_gate`` [m], at least ``gate``: distances along it count in the
-    ratio of the two. The boundary points are sorted by square cells of ``(x / z, y / z)``. Those of cell (r, c) begin
-    at ``starts[r * columns + c]`` and end where the next cell begins. Of equally near points the first one is the match.
+    ratio of the two.
+
+    The boundary points are sorted by square cells of ``(x / z, y / z)``. Those of cell (r, c) begin at
+    ``starts[r * columns + c]`` and end where the next cell begins. Of equally near points the first one is the match.
     """
     rows, columns = shape
     out = np.full(len(points), -1, np.int64)
