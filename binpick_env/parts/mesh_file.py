@@ -64,7 +64,8 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
     sides = np.sort(mesh.bounding_box_oriented.extents)
     if sides[0] < LEAST_THICKNESS:
         raise ValueError(
-            f"{path} is {1e3 * sides[0]:.3g} mm thick; the cell simulates parts from {1e3 * LEAST_THICKNESS:g} mm on"
+            f"{path} is {1e3 * sides[0]:.3g} mm thick, taken as {read_as}; the cell simulates parts from "
+            f"{1e3 * LEAST_THICKNESS:g} mm on: thicken the part, or name another unit (--unit, in Python unit=)"
         )
     mesh.metadata["sides"] = tuple(float(side) for side in sides)
     return mesh
@@ -72,9 +73,9 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
 
 def _require_solid(mesh: trimesh.Trimesh, path: Path) -> None:
     if not np.all(np.isfinite(mesh.vertices)):
-        raise ValueError(f"{path} has vertices that are not finite")
+        raise ValueError(f"{path} has vertices that are not finite: export the part again")
     if np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=1e-6 * float(mesh.scale)) < 3:
-        raise ValueError(f"{path} is flat: a part must enclose a volume")
+        raise ValueError(f"{path} is flat, but a part must enclose a volume: give the surface a thickness")
 
 
 def _require_size(path: Path, size: float, read_as: str) -> None:

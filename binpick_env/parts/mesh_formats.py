@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 
 from binpick_env.parts.child_program import run_program
+from perception.capture.text_files import as_utf8
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf", ".step", ".stp")
 _STEP = Path(__file__).with_name("_step_process.py")
@@ -19,6 +20,10 @@ _UNITS_3MF = {"micron": 1e-6, "millimeter": 0.001, "centimeter": 0.01, "inch": 0
 _POLYGONS = (".obj", ".ply", ".off")  # formats whose faces may have more than three corners
 _SLIVER = 1e-5  # height of a triangle, as a share of the mesh's size, below which its normal means nothing
 _STL_HEADER, _STL_FACE = 84, 50  # lengths of a binary STL's header and of a triangle [bytes]
+
+
+class _RefusedError(ValueError):
+    """What a file says is understood and cannot be taken; the text says what to do."""
 
 
 def read_bodies(path: Path) -> tuple[list[trimesh.Trimesh], str | None]:
@@ -43,11 +48,16 @@ def read_bodies(path: Path) -> tuple[list[trimesh.Trimesh], str | None]:
     _require_content(path, data)
     try:
         meshes, unit = _parsed(path, suffix, data)
-    except Exception as error:  # the readers raise whatever their parsing meets
+    except _RefusedError as error:
         raise ValueError(f"{path} cannot be read as a {path.suffix} mesh: {error}") from error
+    except Exception as error:  # the readers raise whatever their parsing meets
+        raise ValueError(
+            f"{path} cannot be read as a {path.suffix} mesh: it seems to be truncated or damaged ({error}); "
+            "export or copy it again"
+        ) from error
     meshes = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not meshes:
-        raise ValueError(f"{path} holds no triangles")
+        raise ValueError(f"{path} holds no triangles: export the part as a mesh of its surface")
     if suffix in _POLYGONS:
         for mesh in meshes:
             _require_unfolded(path, mesh)
@@ -94,40 +104,45 @@ def _parsed(path: Path, suffix: str, data: bytes) -> tuple[list[trimesh.Trimesh]
         content, kind = _stl(data)
         return [trimesh.load_mesh(io.BytesIO(content), file_type=kind)], None
     if suffix == ".obj":
-        return [trimesh.load_mesh(io.BytesIO(_as_utf8(data)), file_type="obj")], None
+        return [trimesh.load_mesh(io.BytesIO(_text(data)), file_type="obj")], None
     if suffix == ".ply":
         return [trimesh.load_mesh(io.BytesIO(_without_comments(data)), file_type="ply")], None
-    return [trimesh.load_mesh(path)], None
+    return [trimesh.load_mesh(io.BytesIO(_text(data)), file_type="off")], None
 
 
 def _stl(data: bytes) -> tuple[bytes, str]:
     """Return the content of an STL without what follows its triangles, and trimesh's name of its kind."""
-    if data[:512].lstrip().startswith(b"solid") and b"facet" in data[:4096]:
-        text = data.lower()
+    content = _text(data)
+    begin = content[:4096].lower()
+    if begin.lstrip().startswith(b"solid") and b"facet" in begin:
+        text = content.lower()
         begun, ended, closed = (text.count(word) for word in (b"facet normal", b"endfacet", b"endsolid"))
         if begun > ended or not closed:
             rest = "" if closed else " and endsolid is missing"
-            raise ValueError(f"it is truncated: {begun} facets begin, {ended} end{rest}; export or copy it again")
-        return _as_utf8(data), "stl_ascii"
+            raise _RefusedError(f"it is truncated: {begun} facets begin, {ended} end{rest}; export or copy it again")
+        return text, "stl_ascii"
     if len(data) < _STL_HEADER:
-        raise ValueError(f"it has {len(data)} bytes, fewer than the header of a binary STL")
+        raise _RefusedError(
+            f"it has {len(data)} bytes, fewer than the {_STL_HEADER} of a binary STL's header; export or copy it again"
+        )
     count = int(np.frombuffer(data, "<u4", 1, 80)[0])
     length = _STL_HEADER + _STL_FACE * count
     if len(data) < length:
-        raise ValueError(
+        raise _RefusedError(
             f"it is truncated: its header announces {count} triangles, which take {length} bytes, "
             f"and it has {len(data)}; export or copy it again"
         )
     return data[:length], "stl"
 
 
-def _as_utf8(data: bytes) -> bytes:
-    """Return a text that may be in Latin-1, as comments of older programs are, in UTF-8."""
+def _text(data: bytes) -> bytes:
+    """Return a text in UTF-8 and with line feeds: it may be in UTF-16, in Latin-1, or have carriage returns alone."""
+    text = as_utf8(data, "it")
     try:
-        data.decode("utf-8")
+        text.decode("utf-8")
     except UnicodeDecodeError:
-        return data.decode("latin-1").encode("utf-8")
-    return data
+        text = text.decode("latin-1").encode("utf-8")
+    return text if b"\n" in text else text.replace(b"\r", b"\n")
 
 
 def _without_comments(data: bytes) -> bytes:
@@ -151,7 +166,7 @@ def _three_mf(data: bytes) -> list[trimesh.Trimesh]:
     scene = trimesh.load_scene(io.BytesIO(data), file_type="3mf")
     unit = str(scene.metadata.get("units", "millimeter")).removesuffix("s")
     if unit not in _UNITS_3MF:
-        raise ValueError(f"its unit must be one of {', '.join(_UNITS_3MF)}, got {unit!r}")
+        raise _RefusedError(f"its unit must be one of {', '.join(_UNITS_3MF)}, got {unit!r}")
     scale = _UNITS_3MF[unit]
     return [mesh.apply_transform(np.diag([scale, scale, scale, 1.0])) for mesh in _placed(scene)]
 

@@ -284,7 +284,7 @@ def test_a_sheet_without_volume(save: Save) -> None:
 
 
 def test_a_foil_is_refused_with_its_thickness(save: Save) -> None:
-    with pytest.raises(ValueError, match=r"is 0\.05 mm thick; the cell simulates parts from 0\.2 mm on"):
+    with pytest.raises(ValueError, match=r"is 0\.05 mm thick, taken as m; the cell simulates parts from 0\.2 mm on"):
         read_mesh(save(creation.box((0.06, 0.04, 0.00005))))
 
 
