@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from perception.bin import Trust, check_trust
+from perception.runtime.field_types import require_field_types
 
 if TYPE_CHECKING:
     from perception.frame import Workspace
@@ -34,6 +35,7 @@ class BinConfig:
     yaw: float = np.pi / 2  # bin x axis against world x [rad]; the long side runs across the robot's view
 
     def __post_init__(self) -> None:
+        require_field_types(self)
         _require(min(self.inner_size) > 0, f"inner_size must be positive, got {self.inner_size}")
         _require(self.wall >= 0.005, f"wall must be at least 0.005 m, got {self.wall}")
 
@@ -57,6 +59,7 @@ class TrayConfig:
     position: tuple[float, float] = (0.42, -0.42)  # centre in the world's x and y [m]
 
     def __post_init__(self) -> None:
+        require_field_types(self)
         _require(min(self.inner_size) > 0, f"inner_size must be positive, got {self.inner_size}")
         _require(self.wall > 0, f"wall must be positive, got {self.wall}")
 
@@ -73,6 +76,7 @@ class CameraConfig:
     backend: Backend = "raster"  # same image as "rays" (MuJoCo's mj_multiRay), ten times faster; "egl" needs GL
 
     def __post_init__(self) -> None:
+        require_field_types(self)
         size = f"{self.width} x {self.height}"
         _require(self.width >= 16 and self.height >= 16, f"the image must be at least 16 x 16, got {size}")
         _require(self.focal > 0, f"focal must be positive, got {self.focal}")
@@ -99,6 +103,7 @@ class CalibrationConfig:
     trust: Trust = "camera"
 
     def __post_init__(self) -> None:
+        require_field_types(self)
         _require(0 <= self.rotation <= 0.06, f"rotation must be from 0 to 0.06 rad, got {self.rotation}")
         check_trust(self.trust)
 
@@ -114,6 +119,7 @@ class RobotConfig:
     jaw: float | None = None  # largest opening of the jaw [m]; None for the gripper's own stroke of 0.085 m
 
     def __post_init__(self) -> None:
+        require_field_types(self)
         for name in ("pedestal_height", "max_velocity", "max_acceleration", "gripper_time"):
             _require(getattr(self, name) > 0, f"{name} must be positive, got {getattr(self, name)}")
         stroke = f"must be over 0 and at most {GRIPPER_STROKE} m, the 2F-85's stroke"
@@ -132,6 +138,7 @@ class ContactConfig:
     sleep_tolerance: float = 1e-2  # velocity below which an island of parts falls asleep [m/s, length-weighted rad/s]
 
     def __post_init__(self) -> None:
+        require_field_types(self)
         _require(self.condim in (1, 3, 4, 6), f"condim must be 1, 3, 4 or 6, got {self.condim}")
         _require(min(self.friction) >= 0, f"friction must not be negative, got {self.friction}")
         _require(self.joint_damping >= 0, f"joint_damping must not be negative, got {self.joint_damping}")
@@ -151,6 +158,7 @@ class CellConfig:
     timestep: float = 0.002  # time step of the physics [s]; the control period is a whole number of steps
 
     def __post_init__(self) -> None:
+        require_field_types(self)
         steps = CONTROL_PERIOD / self.timestep if self.timestep > 0 else 0.0
         _require(
             steps >= 1 and abs(steps - round(steps)) < 1e-9,

@@ -21,7 +21,7 @@ def count_range(num_parts: int | tuple[int, int]) -> tuple[int, int]:
     """
     pair = tuple(num_parts) if isinstance(num_parts, tuple | list) else (num_parts, num_parts)
     try:
-        low, high = (index(number) for number in pair)
+        low, high = (_whole(number) for number in pair)
     except (TypeError, ValueError):
         low, high = 0, 0
     if not 1 <= low <= high:
@@ -35,6 +35,8 @@ def episode_count(options: Mapping[str, Any] | None, num_parts: tuple[int, int],
     Raises:
         ValueError: There is no such option, or the number is none.
     """
+    if not (options is None or isinstance(options, Mapping)):
+        raise ValueError(f"options of reset must be a dictionary, got {options!r}")
     given = dict(options or {})
     unknown = [name for name in given if name not in RESET_OPTIONS]
     if unknown:
@@ -45,7 +47,7 @@ def episode_count(options: Mapping[str, Any] | None, num_parts: tuple[int, int],
     if "num_parts" not in given:
         return drawn
     try:
-        count = index(given["num_parts"])
+        count = _whole(given["num_parts"])
     except TypeError:
         count = -1
     if not 0 <= count <= num_parts[1]:
@@ -63,10 +65,25 @@ def thread_count(threads: int | None) -> int | None:
     take all cores each are several times slower than with one each.
 
     Raises:
-        ValueError: It is not positive.
+        ValueError: It is no positive whole number.
     """
     if threads is None:
         return None if multiprocessing.parent_process() is None else 1
-    if threads < 1:
-        raise ValueError(f"threads must be at least 1, got {threads}")
-    return threads
+    try:
+        count = _whole(threads)
+    except TypeError:
+        count = 0
+    if count < 1:
+        raise ValueError(f"threads must be a whole number of at least 1, got {threads!r}")
+    return count
+
+
+def _whole(number: Any) -> int:
+    """Return a whole number, Python's or numpy's.
+
+    Raises:
+        TypeError: It is none; a truth value is none either.
+    """
+    if isinstance(number, bool):
+        raise TypeError("a truth value is no number")
+    return index(number)

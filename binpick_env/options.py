@@ -1,6 +1,7 @@
 """The options of a cell that a user changes most, as flat values: environments and command lines share them."""
 
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -20,6 +21,7 @@ from binpick_env.parts.density import check_density
 from binpick_env.parts.symmetry_tolerance import check_symmetry_tolerance
 from binpick_env.parts.unit import Unit, check_unit
 from perception.bin import Trust
+from perception.runtime.field_types import require_field_types
 
 if TYPE_CHECKING:
     from binpick_env.parts.part import Part
@@ -56,6 +58,9 @@ class CellOptions:
     trust: Trust = "camera"  # "bin" corrects the camera's reported pose by the bin, which is measured in each frame
 
     def __post_init__(self) -> None:
+        if self.bin is not None:
+            _check_bin(self.bin)  # first, since its text says more than the next one's
+        require_field_types(self)
         if self.unit is not None:
             check_unit(self.unit)
         if self.symmetry not in ("detect", "none"):
@@ -66,8 +71,6 @@ class CellOptions:
             check_density(self.density)
         if self.sensor not in get_args(SensorPreset):
             raise ValueError(f"sensor must be one of {', '.join(get_args(SensorPreset))}, got {self.sensor!r}")
-        if self.bin is not None:
-            _check_bin(self.bin)
         floor = max(0.2, BinConfig().inner_size[2] if self.bin is None else self.bin[2])
         if not floor < self.camera_distance < np.inf:
             raise ValueError(
@@ -158,18 +161,22 @@ def resolve_cell(config: CellConfig | None, camera: CameraConfig | None, **optio
     Raises:
         ValueError: An option is given beside the config or the camera that contains it, or has no meaning.
     """
+    for name, value, kind in (("config", config, CellConfig), ("camera", camera, CameraConfig)):
+        if value is not None and not isinstance(value, kind):
+            raise ValueError(f"{name} must be a {kind.__name__}, got {repr(value)[:60]}: make one of its fields")
     given = {name: value for name, value in options.items() if value is not None}
     for whole, name, contained in ((config, "config", _IN_CONFIG), (camera, "camera", _IN_CAMERA)):
         twice = [option for option in given if option in contained]
         if whole is not None and twice:
             raise ValueError(f"{', '.join(twice)} cannot be given beside {name}, which contains it: set it in {name}")
-    cell = config or CellOptions(**given).cell()
+    cell = CellOptions(**given).cell() if config is None else config
     return cell if camera is None else replace(cell, camera=camera)
 
 
 def _check_bin(inner_size: tuple[float, float, float]) -> None:
     """Refuse a bin that is none, or that overlaps the robot's pedestal or the tray."""
-    if len(inner_size) != 3 or not all(0 < side < np.inf for side in inner_size):
+    sides = inner_size if isinstance(inner_size, tuple | list | np.ndarray) else ()
+    if len(sides) != 3 or not all(isinstance(side, Real) and 0 < side < np.inf for side in sides):
         raise ValueError(f"bin must be length, width and height inside [m], all positive, got {inner_size}")
     standard, tray = BinConfig(), TrayConfig()  # the bin's length lies along the world's y axis
     beside = abs(standard.position[1] - tray.position[1]) - tray.inner_size[1] / 2 - tray.wall

@@ -63,9 +63,9 @@ def resolve_noise(
         camera: Camera, which determines the size of the part in the image.
 
     Raises:
-        ValueError: ``noise`` is another word than "learned".
+        ValueError: ``noise`` is nothing of the kind.
     """
-    if not isinstance(noise, str):
+    if noise is None or isinstance(noise, PoseNoise | PerceptionNoise):
         return noise
     if noise != "learned":
         raise ValueError(f"pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got {noise!r}")

@@ -87,6 +87,8 @@ def load_part(
         A catalogue part or a generated part takes 0.1 s. A file takes seconds the first time, for its pieces, which are
         cached on disk.
     """
+    if not isinstance(name_or_path, str | Path):
+        raise ValueError(f"part must be a name, a path to a file or a loaded Part, got {name_or_path!r}")
     name = str(name_or_path)
     if unit is not None:
         check_unit(unit)

@@ -14,6 +14,7 @@ from perception.part import PartModel
 from perception.runtime.cache import cache_folder
 from perception.runtime.files import replace_atomically, write_atomically
 from perception.runtime.records import RecordError, RecordFormat
+from perception.runtime.tensor_shapes import filled
 from perception.segmentation.choices import NetworkName
 from perception.segmentation.networks.context_net import ContextNet, ContextNetConfig
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
@@ -105,8 +106,8 @@ def _network_of(record: dict[str, Any], tensors: dict[str, Tensor]) -> Network:
         raise ValueError(f"its network must be one of {', '.join(_KINDS)}, got {record['kind']!r}")
     config_type, network_type = _KINDS[record["kind"]]
     values = {name: tuple(v) if isinstance(v, list) else v for name, v in record["network"].items()}
-    network: Network = network_type(config_type(**values))  # type: ignore[arg-type]
-    network.load_state_dict(tensors)
+    config = config_type(**values)
+    network: Network = filled(lambda: network_type(config), tensors)  # type: ignore[arg-type]
     return network.eval()
 
 

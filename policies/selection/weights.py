@@ -8,6 +8,7 @@ from torch import Tensor
 
 from perception.runtime.files import write_atomically
 from perception.runtime.records import RecordError, RecordFormat
+from perception.runtime.tensor_shapes import filled
 from policies.selection.features import FEATURES
 from policies.selection.network import SelectorNet, SelectorNetConfig
 
@@ -54,6 +55,5 @@ def _network_of(record: dict[str, Any], tensors: dict[str, Tensor]) -> SelectorN
     values = record["network"]
     if gone := sorted(set(values["features"]) - set(FEATURES)):
         raise ValueError(f"it was trained on features that do not exist: {', '.join(gone)}")
-    network = SelectorNet(SelectorNetConfig(**{**values, "features": tuple(values["features"])}))
-    network.load_state_dict(tensors)
-    return network.eval()
+    config = SelectorNetConfig(**{**values, "features": tuple(values["features"])})
+    return filled(lambda: SelectorNet(config), tensors).eval()

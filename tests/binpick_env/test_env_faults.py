@@ -13,7 +13,7 @@ from binpick_env.env_arguments import thread_count
 from tests.binpick_env.small_cell import REST, act, small_env
 
 
-@pytest.mark.parametrize("num_parts", [0, -1, (0, 5), (5, 4), 2.5, "3", (2, 3.5), (1, 2, 3)])
+@pytest.mark.parametrize("num_parts", [0, -1, (0, 5), (5, 4), 2.5, "3", (2, 3.5), (1, 2, 3), True])
 def test_a_senseless_number_of_parts_is_refused(num_parts: Any) -> None:
     text = f"num_parts must be a positive whole number or a rising pair of them, got {re.escape(repr(num_parts))}"
     with pytest.raises(ValueError, match=text):
@@ -26,8 +26,13 @@ def test_a_senseless_number_of_parts_is_refused(num_parts: Any) -> None:
         ("perception", "lidar", "perception must be one of oracle, gt_masks, learned, got 'lidar'"),
         ("render_mode", "ansi", r"render_mode must be one of \['human', 'rgb_array', 'depth_array'\], got 'ansi'"),
         ("obs_mode", "pixels", "obs_mode must be 'state' or 'rgbd', got 'pixels'"),
-        ("threads", 0, "threads must be at least 1, got 0"),
+        ("threads", 0, "threads must be a whole number of at least 1, got 0"),
+        ("threads", 1.5, "threads must be a whole number of at least 1, got 1.5"),
         ("part", "sprocket", "part must be one of part_a, part_b, part_c, tee, bracket"),
+        ("part", None, "part must be a name, a path to a file or a loaded Part, got None"),
+        ("pose_noise", 3, "pose_noise must be a PoseNoise, a PerceptionNoise or 'learned', got 3"),
+        ("density", "light", r"density must be 10 to 25000 kg/m\^3 .* got 'light'"),
+        ("symmetry_tolerance", "small", "symmetry_tolerance must be over 0 and under 0.1 m, got 'small'"),
     ],
 )
 def test_an_unknown_choice_names_those_that_exist(argument: str, value: Any, message: str) -> None:
@@ -59,7 +64,7 @@ def test_more_parts_than_there_is_room_for_are_refused(shared_env: BinPickEnv) -
         shared_env.reset(seed=0, options={"num_parts": 4})
 
 
-@pytest.mark.parametrize("value", [-1, 2.5, "2", None])
+@pytest.mark.parametrize("value", [-1, 2.5, "2", None, True])
 def test_a_senseless_number_of_parts_of_a_reset_is_refused(shared_env: BinPickEnv, value: Any) -> None:
     with pytest.raises(ValueError, match=f"num_parts of reset must be a whole number from 0 to 3, .* got {value!r}"):
         shared_env.reset(seed=0, options={"num_parts": value})
@@ -68,6 +73,8 @@ def test_a_senseless_number_of_parts_of_a_reset_is_refused(shared_env: BinPickEn
 def test_an_unknown_option_of_a_reset_is_refused(shared_env: BinPickEnv) -> None:
     with pytest.raises(ValueError, match="options of reset must be among num_parts, got parts"):
         shared_env.reset(seed=0, options={"parts": 2})
+    with pytest.raises(ValueError, match=r"options of reset must be a dictionary, got \[2\]"):
+        shared_env.reset(seed=0, options=[2])  # type: ignore[arg-type]
 
 
 def test_more_parts_than_can_be_heaped_on_the_bin_are_refused_at_once() -> None:

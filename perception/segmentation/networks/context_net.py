@@ -20,6 +20,8 @@ from perception.segmentation.networks.hierarchy import LEVELS, Hierarchy
 from perception.segmentation.networks.output import PointOutputs
 from perception.segmentation.networks.pointnet import SharedLayer, require_at_least_one
 
+DEEPEST = 50  # largest number of EdgeConvs on a level; more are a damaged file
+
 
 @dataclass(frozen=True, kw_only=True)
 class ContextNetConfig:
@@ -40,8 +42,8 @@ class ContextNetConfig:
         require_at_least_one(self, "k", "edge_k", "edge", "branch", "embedding", "classes")
         if len(self.widths) != LEVELS or min(self.widths) < 1:
             raise ValueError(f"widths must be {LEVELS} positive channel counts, got {self.widths}")
-        if len(self.depths) != LEVELS or min(self.depths) < 0:
-            raise ValueError(f"depths must be {LEVELS} numbers of EdgeConvs, got {self.depths}")
+        if len(self.depths) != LEVELS or not 0 <= min(self.depths) <= max(self.depths) <= DEEPEST:
+            raise ValueError(f"depths must be {LEVELS} numbers of EdgeConvs from 0 to {DEEPEST}, got {self.depths}")
         if not 0 < self.spacing < 1:
             raise ValueError(f"spacing must be in (0, 1), got {self.spacing}")
         if not self.vote_scale >= 0:

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 import pytest
 
 from perception.runtime.field_types import require_field_types
@@ -29,6 +30,7 @@ class Outer:
     features: dict[str, float] = field(default_factory=dict)
     flag: bool = True
     anything: Any = None
+    choice: Literal["a", "b"] | None = None
 
 
 @pytest.mark.parametrize(
@@ -37,6 +39,8 @@ class Outer:
         {},
         {"wall": 3, "word": Word.GOOD, "inner": (), "features": {"a": 1, "b": None}, "anything": []},
         {"inner": (Inner(float("nan")),), "pair": [1, 2]},
+        {"count": np.int64(3), "wall": np.float32(0.5), "pair": np.array([1, 2])},
+        {"choice": "c"},  # its own check names the words
     ],
 )
 def test_fields_that_fit_pass(values: dict[str, Any]) -> None:
@@ -46,18 +50,20 @@ def test_fields_that_fit_pass(values: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"count": None}, "count must be int, got 'None'"),
-        ({"count": 1.5}, "count must be int, got '1.5'"),
-        ({"count": True}, "count must be int, got 'True'"),
-        ({"wall": None}, "wall must be float, got 'None'"),
-        ({"name": 3}, "name must be str, got '3'"),
+        ({"count": None}, "count must be int, got None"),
+        ({"count": 1.5}, "count must be int, got 1.5"),
+        ({"count": True}, "count must be int, got True"),
+        ({"wall": None}, "wall must be float, got None"),
+        ({"name": 3}, "name must be str, got 3"),
         ({"word": "good?"}, r"word must be .*Word \| None, got 'good\?'"),
-        ({"pair": (1,)}, r"pair must be tuple\[int, float\], got '\(1,\)'"),
+        ({"pair": (1,)}, r"pair must be tuple\[int, float\], got \(1,\)"),
+        ({"pair": np.array(1.5)}, r"pair must be tuple\[int, float\], got array\(1.5\)"),
+        ({"pair": 0.5}, r"pair must be tuple\[int, float\], got 0.5"),
         ({"features": {"a": "b"}}, "features must be dict"),
         ({"features": []}, "features must be dict"),
         ({"inner": ({"width": 1},)}, "inner must be tuple"),
         ({"inner": (Inner("wide"),)}, "width must be float, got 'wide'"),  # type: ignore[arg-type]
-        ({"flag": 1}, "flag must be bool, got '1'"),
+        ({"flag": 1}, "flag must be bool, got 1"),
     ],
 )
 def test_fields_that_do_not_are_named(values: dict[str, Any], text: str) -> None:

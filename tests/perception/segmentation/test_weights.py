@@ -70,6 +70,15 @@ def test_networks_are_of_single_precision_whatever_the_callers_default(
 
 
 @pytest.mark.parametrize("network", NETWORKS, ids=["grid", "sgpn", "context"])
+def test_networks_of_files_are_of_single_precision_whatever_the_callers_default(
+    network: GridNet | Sgpn, tmp_path: Path, double_by_default: None
+) -> None:
+    save_network(tmp_path / "tee.safetensors", network, {})
+    loaded = load_network(tmp_path / "tee.safetensors")
+    assert {tensor.dtype for tensor in loaded.state_dict().values() if tensor.is_floating_point()} == {torch.float32}
+
+
+@pytest.mark.parametrize("network", NETWORKS, ids=["grid", "sgpn", "context"])
 def test_a_network_comes_back_to_the_bit(network: GridNet | Sgpn, tmp_path: Path) -> None:
     path = tmp_path / "tee.safetensors"
     save_network(path, network, {"parts": ["tee"], "steps": 7})
@@ -105,7 +114,7 @@ def test_what_is_not_whole_is_refused(tmp_path: Path) -> None:
     for change, text in (
         (
             {"network": record["network"] | {"hidden": 10}},
-            r"a complete segmentation network \(Error\(s\) in loading",
+            r"a complete segmentation network \(the network that it describes needs a tensor of \(1, 10\) for confidence",
         ),
         ({"kind": "oracle"}, "its network must be one of grid, sgpn, context, got 'oracle'"),
         ({"version": 99}, "is a segmentation network of version 99, this code reads 1"),
