@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 MAX_FRICTION = 2.0  # rubber on dry concrete reaches 1; what exceeds this is a percentage or a mistake
 MAX_HAND_EYE_MM = 15.0  # [mm]; the limit of `CameraConfig.hand_eye`
 MAX_HAND_EYE_DEG = 3.0  # [deg]; about the limit of `CalibrationConfig.rotation`
+_LEAST_MM = 10.0  # sides that are all at least as long are no metres [m]
 _PEDESTAL_HALF = 0.09  # half the side of the robot's pedestal, which stands at the world's origin [m]
 # The arguments of an environment that hold other options: what may not be given beside them.
 _IN_CAMERA = ("camera_distance", "width", "height", "backend", "hand_eye_mm")
@@ -183,5 +184,6 @@ def _check_bin(inner_size: tuple[float, float, float]) -> None:
     length, width = 2 * (beside - standard.wall), 2 * (standard.position[0] - _PEDESTAL_HALF - standard.wall)
     if inner_size[0] > length + 1e-9 or inner_size[1] > width + 1e-9:
         raise ValueError(
-            f"bin may be up to {length:.2f} m long and {width:.2f} m wide between robot and tray, got {inner_size}"
+            f"bin may be up to {length:.2f} m long and {width:.2f} m wide between robot and tray, got {inner_size} [m]"
+            + (", which seem to be millimetres: divide them by 1000" if min(inner_size) >= _LEAST_MM else "")
         )

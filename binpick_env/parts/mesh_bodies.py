@@ -4,13 +4,10 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-import manifold3d
 import numpy as np
 import trimesh
 
-from binpick_env.parts.contacts import groups_in_contact
-from binpick_env.parts.simplification import from_manifold, to_manifold
-from perception.geometry import Floats
+from binpick_env.parts.solids import unite
 from perception.winding import outward, shells_of, signed_volume
 
 log = logging.getLogger(__name__)
@@ -29,7 +26,8 @@ def united(meshes: Sequence[trimesh.Trimesh], path: Path) -> trimesh.Trimesh:
         path: File that the meshes were read from, which errors name.
 
     Raises:
-        ValueError: Bodies remain apart, touch only along an edge or in a point, or a surface crosses itself.
+        ValueError: Bodies remain apart, touch only along an edge or in a point, or a surface crosses itself; or the
+            process that unites them ends without a result.
     """
     bodies = [body for mesh in meshes for body in bodies_of(outward(mesh))]
     if len(bodies) == 1:
@@ -38,17 +36,25 @@ def united(meshes: Sequence[trimesh.Trimesh], path: Path) -> trimesh.Trimesh:
     scale, origin = float(np.ptp(vertices, axis=0).max()), vertices.mean(axis=0)
     found, apart, thin = None, len(bodies), False
     for gap in _GAPS:
-        solids = _solids([_enlarged(body, gap * scale) for body in bodies], scale, origin)
-        union = None if solids is None else _union(solids, scale, 4 * gap)
-        if union is None and found is None:
-            raise ValueError(f"{path} holds {len(bodies)} bodies, and a surface of one is no closed solid")
-        if union is None or solids is None:
+        enlarged = [_enlarged(body, gap * scale) for body in bodies]
+        solids = [
+            ((np.asarray(body.vertices, np.float64) - origin) / scale, np.asarray(body.faces, np.int64))
+            for body in enlarged
+        ]
+        joint = unite(solids, gap=gap, tolerance=4 * gap)
+        if joint is None and found is None:
+            raise ValueError(
+                f"{path} holds {len(bodies)} bodies, and a surface of one is no closed solid: repair it, for instance "
+                "in MeshLab, or save one body per file"
+            )
+        if joint is None:
             continue
+        union = trimesh.Trimesh(joint.mesh[0] * scale, joint.mesh[1], process=False)
         left = sum(signed_volume(surface) > 0 for surface in _surfaces(union))
         if found is None or left < apart or (left == apart and union.area < (1 - _CRACKED) * found.area):
             found, apart = union, left
         if apart == 1 and gap > 0:
-            apart = groups_in_contact(solids, gap)
+            apart = joint.groups
             thin = apart > 1
             break
     if thin:
@@ -104,19 +110,6 @@ def _surfaces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     """Return each closed surface of a mesh as a mesh of its own."""
     faces = np.asarray(mesh.faces)
     return [trimesh.Trimesh(mesh.vertices, faces[shell], process=False) for shell in shells_of(mesh)]
-
-
-def _solids(bodies: Sequence[trimesh.Trimesh], scale: float, origin: Floats) -> list[manifold3d.Manifold] | None:
-    """Return bodies as solids, moved to the origin and divided by ``scale``; None if one of them is not closed."""
-    solids = [to_manifold(np.asarray(body.vertices) - origin, body.faces, scale) for body in bodies]
-    closed = [solid for solid in solids if solid is not None]
-    return closed if len(closed) == len(bodies) else None
-
-
-def _union(solids: Sequence[manifold3d.Manifold], scale: float, tolerance: float) -> trimesh.Trimesh:
-    """Return the mesh of the union of solids, multiplied by ``scale``."""
-    whole = manifold3d.Manifold.batch_boolean(list(solids), manifold3d.OpType.Add)
-    return from_manifold(whole.simplify(tolerance) if tolerance else whole, scale)
 
 
 def _enlarged(body: trimesh.Trimesh, distance: float) -> trimesh.Trimesh:

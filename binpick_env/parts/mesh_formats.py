@@ -47,7 +47,7 @@ def read_bodies(path: Path) -> tuple[list[trimesh.Trimesh], str | None]:
     data = path.read_bytes()
     _require_content(path, data)
     try:
-        meshes, unit = _parsed(path, suffix, data)
+        meshes, unit = _parsed(suffix, data)
     except _RefusedError as error:
         raise ValueError(f"{path} cannot be read as a {path.suffix} mesh: {error}") from error
     except Exception as error:  # the readers raise whatever their parsing meets
@@ -93,7 +93,7 @@ def _require_unfolded(path: Path, mesh: trimesh.Trimesh) -> None:
         )
 
 
-def _parsed(path: Path, suffix: str, data: bytes) -> tuple[list[trimesh.Trimesh], str | None]:
+def _parsed(suffix: str, data: bytes) -> tuple[list[trimesh.Trimesh], str | None]:
     if suffix in (".step", ".stp"):
         return _step(data), "m"
     if suffix == ".3mf":

@@ -4,7 +4,6 @@ import logging
 from collections.abc import Iterator
 from pathlib import Path
 
-import manifold3d
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from binpick_env.parts.mesh_edges import separated
+from binpick_env.parts.solids import triangulate
 from perception.geometry import Floats
 from perception.winding import shells_of
 
@@ -133,6 +133,7 @@ def _filled(mesh: trimesh.Trimesh, extent: float) -> tuple[trimesh.Trimesh, floa
     loops = _loops(mesh)
     vertices, faces = np.asarray(mesh.vertices, np.float64), [np.asarray(mesh.faces)]
     added: list[Floats] = []
+    flat: list[tuple[NDArray[np.int64], Floats]] = []
     widest, count = 0.0, 0
     for loop in loops:
         border = vertices[loop]
@@ -142,13 +143,15 @@ def _filled(mesh: trimesh.Trimesh, extent: float) -> tuple[trimesh.Trimesh, floa
         if bend > _FLAT * extent and width > _SMALL * extent:
             continue
         if bend <= _FLAT * extent:
-            faces.append(_flat_faces(loop, (border - centre) @ axes[:2].T))
+            flat.append(_turned_left(loop, (border - centre) @ axes[:2].T))
         else:
             ahead = np.roll(loop, -1)
             hub = np.full(len(loop), len(vertices) + len(added))
             added.append(centre)
             faces.append(np.stack([ahead, loop, hub], axis=1))
         widest, count = max(widest, width), count + 1
+    for (loop, _), triangles in zip(flat, triangulate([outline for _, outline in flat]), strict=True):
+        faces.append(loop[triangles])
     filled = trimesh.Trimesh(np.vstack([vertices, *added]), np.concatenate(faces), process=False)
     return filled, widest, count
 
@@ -164,8 +167,8 @@ def _has_sheet(mesh: trimesh.Trimesh, extent: float) -> bool:
     return bool(np.any(np.abs(volumes) <= _SHEET * extent * areas))
 
 
-def _flat_faces(loop: NDArray[np.int64], outline: Floats) -> NDArray[np.int64]:
-    """Return (T, 3) faces that fill a loop, concave or not, against its direction.
+def _turned_left(loop: NDArray[np.int64], outline: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Return a loop against its direction, as the faces that fill it have, and its outline, which then turns left.
 
     Args:
         loop: (N,) vertices around the hole.
@@ -173,10 +176,9 @@ def _flat_faces(loop: NDArray[np.int64], outline: Floats) -> NDArray[np.int64]:
     """
     x, y = outline.T
     turns_left = float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) > 0
-    order = np.arange(len(loop)) if turns_left else np.arange(len(loop))[::-1]  # the library asks for left turns
-    triangles = order[manifold3d.triangulate([np.ascontiguousarray(outline[order])])]
-    faces: NDArray[np.int64] = loop[triangles[:, ::-1] if turns_left else triangles]
-    return faces
+    if turns_left:  # the plane is seen from its other side
+        outline = outline * (-1.0, 1.0)
+    return loop[::-1], outline[::-1]
 
 
 def _loops(mesh: trimesh.Trimesh) -> list[NDArray[np.int64]]:

@@ -16,6 +16,7 @@ from perception.capture.images import grey_image, read_raw
 from perception.capture.pcd import read_pcd
 from perception.capture.ply import read_ply
 from perception.capture.text_files import read_text
+from perception.runtime.array_files import load_npz
 
 POINT_KEYS = ("points", "xyz", "points_cam", "cloud")  # names of an organised cloud in an NPZ file
 GREY_KEYS = ("grey", "gray", "image", "color", "colour", "rgb")  # names of a grey or colour image in an NPZ file
@@ -92,8 +93,7 @@ def _require_no_table(raw: NDArray[np.generic], name: str) -> None:
 
 
 def _npz_content(path: Path) -> Content:
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        arrays = {key: archive[key] for key in archive.files}
+    arrays = load_npz(path)
     calibration = None
     if "K" in arrays:
         named: dict[str, Any] = {key: arrays[key] for key in ("K", "distortion", "T_world_cam") if key in arrays}

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.frame import FARTHEST
+from perception.runtime.array_files import load_npy
 
 EXR = "OPENCV_IO_ENABLE_OPENEXR"  # environment variable without which OpenCV reads no EXR
 FLOATING_SCALE = 1.0  # floating-point images are in metres unless stated otherwise [m]
@@ -27,8 +28,7 @@ def read_raw(path: Path) -> NDArray[np.generic]:
         ValueError: The file cannot be decoded.
     """
     if path.suffix.lower() == ".npy":
-        array: NDArray[np.generic] = np.load(path, allow_pickle=False)
-        return array
+        return load_npy(path)
     if path.suffix.lower() == ".exr":
         _require_exr(path)
     encoded = np.frombuffer(path.read_bytes(), np.uint8)

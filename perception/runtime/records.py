@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
+from perception.runtime.array_files import load_npz, require_bytes
 from perception.runtime.files import json_text, replace_atomically, write_atomically
 
 if TYPE_CHECKING:
@@ -66,8 +67,7 @@ class RecordFormat:
             RecordError: The file is missing, damaged or of another kind or version, or ``build`` fails.
         """
         with self._reading(path):
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
+            arrays = load_npz(path)
             self._check(path, arrays)
             return build(arrays)
 
@@ -88,6 +88,7 @@ class RecordFormat:
             RecordError: The file is missing, damaged or of another kind or version, or ``build`` fails.
         """
         with self._reading(path):
+            require_bytes(path.name, path.stat().st_size)
             values = json.loads(path.read_text(encoding="utf-8"))
             self._check(path, values)
             return build({name: value for name, value in values.items() if name not in ("kind", "version")})
@@ -147,6 +148,7 @@ class RecordFormat:
 
         header = self.load_header(path)
         with self._reading(path):
+            require_bytes(path.name, path.stat().st_size)
             return build(header, load_file(path))
 
     def _check(self, path: Path, stored: Mapping[str, Any]) -> None:

@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, get_args
 
 import tyro
 
 Errors = tuple[type[Exception], ...]
 _FILES = ("json", "html", "save", "video", "rerun", "bop")  # options that name a file to be written
+_PAGE = 4096  # bytes that are written to see whether a disk is full
 _FOLDERS = ("out", "overlay")  # options that name a folder to be written into
 
 
@@ -55,6 +57,18 @@ def _unwritable(options: Any) -> Iterator[str]:
             yield f"{option} must name a folder, got the file {path}"
         elif not os.access(there, os.W_OK):
             yield f"{option} {path} cannot be written: {there} is read-only"
+        elif there.is_dir() and (reason := _refusal(there)) is not None:
+            yield f"{option} {path} cannot be written: {there}: {reason}; name another place, or make room"
+
+
+def _refusal(folder: Path) -> str | None:
+    """Return why no file can be written into a folder, such as one of a full disk; None if one can."""
+    try:
+        with TemporaryFile(dir=folder) as file:
+            file.write(bytes(_PAGE))
+    except OSError as error:
+        return error.strerror or str(error)
+    return None
 
 
 def _as_now(arguments: Sequence[str]) -> list[str]:

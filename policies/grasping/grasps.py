@@ -213,7 +213,8 @@ def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, s
         T_part_grasp=T, width=width, quality=quality, clear=clear, extras=np.array(settings.extras), surface=surface
     ).take(kept)
     if len(found) == 0:
-        _log.warning("no grasp on %r; left after each filter: %s", model.name, counts)
+        left = ", ".join(f"{count} {name}" for name, count in counts.items())
+        _log.info("no grasp on %s; left after each step of the search: %s", model.name, left)
         return found
     cover = _replicate(found.take(_spread(found, settings.max_grasps, _shallow(found, mesh, settings))), model)
     return cover.take(_spread(cover, settings.max_grasps, _shallow(cover, mesh, settings)))

@@ -11,6 +11,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from perception.runtime import array_files
 from perception.runtime.records import RecordError, RecordFormat
 
 
@@ -75,6 +76,17 @@ def test_a_missing_or_cut_file_and_a_failing_reader_raise_the_formats_error(tmp_
     save(FORMAT, path)
     path.write_bytes(path.read_bytes()[:-9])
     with pytest.raises(DrawingError, match=r"does not hold a complete drawing \(.+\); draw makes drawings"):
+        load(FORMAT, path)
+
+
+@SUFFIXES
+def test_a_file_that_would_fill_the_memory_is_refused(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / f"a.{suffix}"
+    save(FORMAT, path)
+    monkeypatch.setattr(array_files, "LARGEST", 20)
+    with pytest.raises(DrawingError, match=rf"\(a\.{suffix} must hold at most .* GB, got .* GB\); draw"):
         load(FORMAT, path)
 
 

@@ -114,7 +114,7 @@ def test_what_is_not_whole_is_refused(tmp_path: Path) -> None:
     for change, text in (
         (
             {"network": record["network"] | {"hidden": 10}},
-            r"a complete segmentation network \(the network that it describes needs a tensor of \(1, 10\) for confidence",
+            r"\(the network that it describes needs a tensor of \(1, 10\) for confidence",
         ),
         ({"kind": "oracle"}, "its network must be one of grid, sgpn, context, got 'oracle'"),
         ({"version": 99}, "is a segmentation network of version 99, this code reads 1"),

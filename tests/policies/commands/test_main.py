@@ -2,6 +2,7 @@
 
 import errno
 import importlib
+import io
 import json
 import logging
 import os
@@ -193,6 +194,21 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(
     with pytest.raises(SystemExit):
         main(["example", str(tmp_path / "scenes")])
     assert capsys.readouterr().err == f"error: the argument must name a folder, got the file {tmp_path / 'scenes'}\n"
+
+
+def test_a_full_disk_is_said_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Full(io.BytesIO):
+        def write(self, data: Any) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(command_line, "TemporaryFile", lambda dir: Full())
+    with pytest.raises(SystemExit) as stop:
+        main(["compare", "one", "two", "--json", str(tmp_path / "new" / "a.json")])
+    assert stop.value.code == 2
+    text = f"a.json cannot be written: {tmp_path}: No space left on device; name another place, or make room"
+    assert text in capsys.readouterr().err
 
 
 def test_a_folder_that_cannot_be_entered_is_said_before_the_work(
