@@ -9,6 +9,15 @@ from perception.diagnosis.samples import BoxFit, DepthSamples
 from perception.geometry import Floats, invert_transform
 
 _FARTHEST = 50.0  # median depth [m] that no camera over a bin measures; 50 mm is less than the nearest ones see
+_NEAREST = 0.01  # median depth [m] below which no camera sees a bin
+# Factors from depth in a wrong unit to metres, the likeliest first.
+_SMALLER = {
+    1e-3: "be in millimetres",
+    1e-4: "be in tenths of a millimetre",
+    1e-2: "be in centimetres",
+    1e-6: "be in micrometres",
+}
+_LARGER = {1e3: "have been divided by 1000 once too often", 1e2: "have been divided by 100 too often"}
 _LARGEST_BIN = 10.0  # length [m] of no bin; no bin is 10 mm long either
 _OFF_CENTRE = 1.25  # ratio of the principal point and the middle of the image from which K is another image's
 _FITS = 0.5  # share of the measurements that lie in the box if the bin is where it is said to be
@@ -54,12 +63,8 @@ def geometry_causes(samples: DepthSamples, setup: Setup, poses_found: bool) -> t
     if len(depths) == 0:
         return [_no_depth("no pixel")], setup
     median = float(np.median(depths))
-    if median >= _FARTHEST:
-        setup = replace(setup, scale=0.001)
-        text = (
-            f"the median depth is {median:.4g} m: the depth seems to be in millimetres; multiply it by 0.001 "
-            "(--depth-scale on the command line, 0.001 of what it is)"
-        )
+    if not _NEAREST <= median < _FARTHEST:
+        setup, text = _depth_unit(samples, setup, median)
         causes.append(Cause(name="depth_unit", text=text))
     if setup.inner_size.max() >= _LARGEST_BIN:
         size = " x ".join(f"{value:g}" for value in setup.inner_size)
@@ -73,6 +78,23 @@ def geometry_causes(samples: DepthSamples, setup: Setup, poses_found: bool) -> t
                 causes.append(found[0])
                 setup = found[1]
     return causes, setup
+
+
+def _depth_unit(samples: DepthSamples, setup: Setup, median: float) -> tuple[Setup, str]:
+    """Return the setup with the unit of depth by which the measurements fill the bin best, and what is said of it.
+
+    It is the millimetre, or one thousandth of what was taken, where none makes them fill it.
+    """
+    scales = _LARGER if median < _NEAREST else _SMALLER
+    setups = [replace(setup, scale=scale) for scale in scales]
+    fits = [each.fit(samples).inside for each in setups]
+    best = int(np.argmax(fits)) if max(fits) >= _FITS else 0
+    scale, seems = list(scales.items())[best]
+    text = (
+        f"the median depth is {median:.4g} m: the depth seems to {seems}; multiply it by {scale:g} "
+        f"(--depth-scale on the command line, {scale:g} of what it is)"
+    )
+    return setups[best], text
 
 
 def _no_depth(which: str) -> Cause:

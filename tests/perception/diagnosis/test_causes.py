@@ -56,6 +56,21 @@ SPOILED: dict[str, tuple[Callable[[], tuple[Frame, Workspace]], list[str], str]]
         ["depth_unit"],
         "seems to be in millimetres; multiply it by 0.001",
     ),
+    "depth in tenths of a millimetre": (
+        lambda: (replace(GOOD, depth=10_000 * GOOD.depth), scene.BIN),
+        ["depth_unit"],
+        "seems to be in tenths of a millimetre; multiply it by 0.0001",
+    ),
+    "depth in centimetres": (
+        lambda: (replace(GOOD, depth=100 * GOOD.depth), scene.BIN),
+        ["depth_unit"],
+        "seems to be in centimetres; multiply it by 0.01",
+    ),
+    "depth divided twice": (
+        lambda: (replace(GOOD, depth=GOOD.depth / 1000), scene.BIN),
+        ["depth_unit"],
+        "seems to have been divided by 1000 once too often; multiply it by 1000",
+    ),
     "K of a larger image": (
         lambda: (replace(GOOD, K=np.diag([2.0, 2.0, 1.0]) @ GOOD.K), scene.BIN),
         ["camera_matrix"],
@@ -281,4 +296,6 @@ def test_the_corrected_setup_is_the_true_one(name: str) -> None:
     np.testing.assert_allclose(setup.K, GOOD.K, rtol=0.01)
     np.testing.assert_allclose(setup.T_world_cam, GOOD.T_world_cam, atol=1e-12)
     np.testing.assert_allclose(setup.inner_size, scene.BIN.inner_size)
-    assert setup.scale == (0.001 if "millimetres" in name and "inner_size" not in name else 1.0)
+    scales = {"millimetres": 1e-3, "tenths of": 1e-4, "centimetres": 1e-2, "divided": 1e3}
+    said = [scale for words, scale in scales.items() if words in name and "inner_size" not in name]
+    assert setup.scale == (said[0] if said else 1.0)
