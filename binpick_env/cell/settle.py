@@ -13,6 +13,7 @@ from perception.geometry import make_transform, random_rotation
 log = logging.getLogger(__name__)
 BATCH_PERIOD = 0.12  # time between two releases [s]
 SETTLE_LIMIT = 6.0  # longest time that a pile gets to come to rest after the last release [s]
+SINKING = 0.001  # depth of a centre under the floor [m] up to which it lies on it: soft contacts give way by 0.1 mm
 ATTEMPTS = 5  # number of piles that are tried
 
 
@@ -62,20 +63,20 @@ def inside_bin(simulation: Simulation) -> NDArray[np.bool_]:
     """Return the (capacity,) mask of parts in play whose centre is within the bin's walls and below twice its rim."""
     workspace = simulation.config.bin.workspace()
     headroom = float(workspace.inner_size[2])
-    return simulation.in_play & workspace.contains(simulation.part_centres(), headroom=headroom)
+    return simulation.in_play & workspace.contains(simulation.part_centres(), headroom=headroom, floor=-SINKING)
 
 
 def _require_above_floor(simulation: Simulation) -> None:
     """Refuse a pile of which a part lies under the bin's floor: dropping it again would hide that it fell through.
 
     Raises:
-        SettleError: A centre is below the inner floor, and within its outline.
+        SettleError: A centre is more than `SINKING` below the inner floor, and within its outline.
     """
     if not np.all(np.isfinite(simulation.data.qpos)):
         return  # diverged: nothing is known of where the parts are
     workspace = simulation.config.bin.workspace()
     centres_bin = workspace.to_bin(simulation.part_centres())
-    under = np.all(np.abs(centres_bin[:, :2]) <= workspace.inner_size[:2] / 2, axis=1) & (centres_bin[:, 2] < 0)
+    under = np.all(np.abs(centres_bin[:, :2]) <= workspace.inner_size[:2] / 2, axis=1) & (centres_bin[:, 2] < -SINKING)
     fallen = int(np.count_nonzero(under & simulation.in_play))
     if fallen:
         raise SettleError(

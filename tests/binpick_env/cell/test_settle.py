@@ -143,6 +143,23 @@ def test_a_part_under_the_floor_is_an_error_and_is_not_dropped_again(
         drop(shared, seed=0, count=2)
 
 
+def test_a_thin_part_that_lies_a_little_in_the_floor_is_in_the_bin(
+    shared: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Contacts give way by 0.1 mm, which is half of the thinnest plate."""
+    release = settle._release
+
+    def sink_one(simulation: Simulation, parts: list[int], rng: np.random.Generator) -> None:
+        release(simulation, parts, rng)
+        simulation.place(0, centred(simulation, (0.5, 0.0, simulation.config.bin.wall - 0.00005)))
+
+    monkeypatch.setattr(settle, "_release", sink_one)
+    monkeypatch.setattr(settle, "_settle", lambda simulation: True)
+    drop(shared, seed=0, count=1)
+    assert shared.part_centres()[0, 2] < shared.config.bin.wall
+    assert inside_bin(shared)[0]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("wall", [0.005, 0.01])
 def test_thin_plates_do_not_fall_through_a_thin_floor(wall: float) -> None:
