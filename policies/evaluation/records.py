@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from policies.evaluation.undelivered import UndeliveredPart
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
 from policies.picking.episode import BinResult, Termination
 
+PICTURES = (".jpg", ".webp", ".png")  # kinds of pictures of a record
 FORMAT = RecordFormat(kind="bin record", version=3, remedy="pick makes it again")
 
 
@@ -212,7 +213,15 @@ def _bin(values: dict[str, Any]) -> BinRecord:
         }
     )
     require_field_types(record)
+    for name in (record.before, record.after, *(pick.picture for pick in record.picks)):
+        if name and not is_picture_name(name):
+            raise ValueError(f"pictures must be named as .jpg, .webp or .png files beside the record, got {name!r}")
     return record
+
+
+def is_picture_name(name: str) -> bool:
+    """Tell whether a record's picture is a file beside it, of a kind that pages show."""
+    return PurePosixPath(name).name == name == PureWindowsPath(name).name and Path(name).suffix in PICTURES
 
 
 def _undelivered(values: list[dict[str, Any]] | None) -> tuple[UndeliveredPart, ...] | None:
