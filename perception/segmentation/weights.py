@@ -105,7 +105,8 @@ def _network_of(record: dict[str, Any], tensors: dict[str, Tensor]) -> Network:
     if record["kind"] not in _KINDS:
         raise ValueError(f"its network must be one of {', '.join(_KINDS)}, got {record['kind']!r}")
     config_type, network_type = _KINDS[record["kind"]]
-    values = {name: tuple(v) if isinstance(v, list) else v for name, v in record["network"].items()}
+    sizes: dict[str, Any] = record["network"]
+    values: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in sizes.items()}
     config = config_type(**values)
     network: Network = filled(lambda: network_type(config), tensors)  # type: ignore[arg-type]
     return network.eval()
