@@ -36,6 +36,7 @@ from binpick_env.scenes.clutter import visible_fractions
 from perception.bin import Trust
 from perception.frame import Workspace
 from perception.geometry import Floats
+from perception.runtime.threads import use_threads
 from perception.segmentation.choices import NetworkName
 
 MAX_EPISODE_STEPS = 12_000
@@ -113,7 +114,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     | `pose_noise` | `None` | errors of the oracle's poses: a `PoseNoise`, a `PerceptionNoise`, or `"learned"` for those of the learned perceiver on this part or parts like it, under this sensor |
     | `obs_mode` | `"state"` | `"rgbd"` adds the frame's image and depth |
     | `config` | `None` | a `CellConfig`: bin, tray, robot, contacts, camera, in place of the options `bin` to `hand_eye_mm`, `hand_eye_deg` and `trust` |
-    | `threads` | `None` | number of threads of the ray caster, and of torch and OpenCV in perception; unless given, all cores, or one in a process that another one started, as vector environments do |
+    | `threads` | `None` | number of threads of the ray caster, and of torch and OpenCV in perception; one unless given, or that of `perception.runtime.use_threads` around it |
     | `render_mode` | `None` | `"rgb_array"`, `"depth_array"` (the camera's view) or `"human"` (MuJoCo's viewer) |
 
     ## Versions
@@ -200,7 +201,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         require_room(self.part, self.config.bin, self._num_parts[1])
         self.workspace: Workspace = self.config.bin.workspace()
         noise = resolve_noise(pose_noise, self.part, sensor, self.config.camera)
-        self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads, network)
+        with use_threads(threads):
+            self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads, network)
         self.simulation = Simulation(self.config, self.part, self._num_parts[1])
         geoms = self.simulation.part_of_geom
         self.camera = DepthCamera(self.simulation.model, self.config.camera, self.workspace, geoms, threads=threads)

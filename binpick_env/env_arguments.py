@@ -1,11 +1,12 @@
 """The arguments of the environments that no other class checks: numbers of parts and threads."""
 
-import multiprocessing
 from collections.abc import Mapping
 from operator import index
 from typing import Any
 
 import numpy as np
+
+from perception.runtime.threads import default_threads
 
 RESET_OPTIONS = ("num_parts",)
 
@@ -58,17 +59,16 @@ def episode_count(options: Mapping[str, Any] | None, num_parts: tuple[int, int],
     return count
 
 
-def thread_count(threads: int | None) -> int | None:
-    """Return the number of threads of an environment; None for the libraries' own choice, which is all cores.
+def thread_count(threads: int | None) -> int:
+    """Return the number of threads of an environment; unless given, that of ``use_threads`` around it, else one.
 
-    In a process that another one started, such as a copy in a vector environment, it is one unless given: copies that
-    take all cores each are several times slower than with one each.
+    Copies that take all cores each are several times slower than with one each.
 
     Raises:
         ValueError: It is no positive whole number.
     """
     if threads is None:
-        return None if multiprocessing.parent_process() is None else 1
+        return default_threads()
     try:
         count = _whole(threads)
     except TypeError:

@@ -27,6 +27,7 @@ from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.group_search import GroupSearch
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.explanation import explain_segments
+from perception.runtime.threads import default_threads, use_threads
 from perception.segmentation.surface import coarse_surface
 from perception.thickness import part_boundary
 
@@ -140,14 +141,24 @@ class Pipeline:
         """
         from perception.segmentation.predictor import SegmentationPredictor
 
-        predictor, poses = SegmentationPredictor.for_part(part), PoseEstimator(part, estimator, workspace)
+        with use_threads(default_threads()):
+            predictor, poses = SegmentationPredictor.for_part(part), PoseEstimator(part, estimator, workspace)
         return cls(predictor, poses, workspace, measure_bin=measure_bin, trust=trust, boundary=boundary)
 
     def perceive(self, frame: Frame) -> Perception:
         """Return the poses of the parts in a frame; none for an empty bin or a frame without depth.
 
         Where the measurement of the bin is not reliable, its given pose is kept, and the report says why.
+
+        Note:
+            It computes on one thread, or as many as :func:`perception.runtime.use_threads` around it says. The result
+            does not depend on their number. Several threads may use one pipeline.
         """
+        with use_threads(default_threads()):
+            return self._perceive_frame(frame)
+
+    def _perceive_frame(self, frame: Frame) -> Perception:
+        """Measure the bin where that is asked for, and find the poses."""
         if not self.measure_bin:
             return self._perceive(frame, self.workspace)
         started = time.perf_counter()
@@ -189,7 +200,22 @@ def perceive_by(
         frame: Frame of the camera.
         workspace: Pose and size of the bin, which are taken as they are.
         settings: Settings of the boundary points; those that suit the part if None.
+
+    Note:
+        It computes on as many threads as :meth:`Pipeline.perceive` does.
     """
+    with use_threads(default_threads()):
+        return _perceive_by(segment, estimator, frame, workspace, settings)
+
+
+def _perceive_by(
+    segment: Callable[[BoundaryCloud], list[Instance]],
+    estimator: PoseEstimator,
+    frame: Frame,
+    workspace: Workspace,
+    settings: BoundarySettings | None,
+) -> Perception:
+    """Run the stages, and time them."""
     if estimator.workspace is not None:  # otherwise no bin is to limit the poses
         estimator = estimator.within(workspace)
     clock = [time.perf_counter()]

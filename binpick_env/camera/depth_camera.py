@@ -2,7 +2,6 @@
 
 import logging
 import math
-import os
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,6 +23,7 @@ from binpick_env.camera.view import Hits, View, geoms_in_camera, visible_geoms
 from binpick_env.config import CameraConfig, SensorPreset
 from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import Floats, camera_matrix, make_transform, require_shape, rotation_about
+from perception.runtime.threads import default_threads
 
 log = logging.getLogger(__name__)
 MARGIN = 0.03  # width of the rendered border around the bin's inner box [m]: its walls and a little of the table
@@ -78,7 +78,8 @@ class DepthCamera:
             workspace: Pose and inner box of the bin.
             instance_of_geom: (ngeom,) part that each geom belongs to, -1 for none.
             T_world_cam: (4, 4) pose of the camera, OpenCV axes; straight above the bin by default.
-            threads: Number of threads that cast rays; by default all cores. The result does not depend on it.
+            threads: Number of threads that cast rays; unless given, that of ``use_threads`` around it, else one. The
+                result does not depend on it.
         """
         instance_of_geom = np.asarray(instance_of_geom, np.int64)
         if instance_of_geom.shape != (model.ngeom,):
@@ -94,7 +95,7 @@ class DepthCamera:
             raise ValueError(
                 f"backend 'raster' draws meshes and boxes, but there are {', '.join(self._raster.left_out)}; use 'rays'"
             )
-        threads = len(os.sched_getaffinity(0)) if threads is None else threads
+        threads = default_threads() if threads is None else threads
         self._rays = RayCaster(model, threads) if config.backend == "rays" else None
         self._egl = EglRenderer(model, config.width, config.height) if config.backend == "egl" else None
         self.move(default_pose(workspace, config.distance) if T_world_cam is None else T_world_cam)

@@ -10,6 +10,7 @@ from .provenance import machine as machine
 from .provenance import versions as versions
 from .records import RecordError as RecordError
 from .records import RecordFormat as RecordFormat
+from .threads import default_threads as default_threads
 from .threads import in_threads as in_threads
 from .threads import one_core as one_core
 from .threads import use_threads as use_threads

@@ -11,6 +11,7 @@ from perception.geometry import Floats
 from perception.instance import Instance
 from perception.metrics.average_precision import ApSummary, ap_summary
 from perception.metrics.matching import MIN_REGION, match_scene
+from perception.runtime.threads import default_threads, use_threads
 from perception.segmentation.point_files import LabelledPoints, read_points
 from perception.segmentation.predictor import SegmentationPredictor
 
@@ -90,7 +91,8 @@ def segment_cloud(source: CloudSource, predictor: SegmentationPredictor) -> Segm
     loaded = read_points(source.path)
     points_cam = source.in_camera_frame(loaded.points[loaded.measured])
     started = time.perf_counter()
-    instances = predictor.predict(points_cam, d_max=source.d_max)
+    with use_threads(default_threads()):
+        instances = predictor.predict(points_cam, d_max=source.d_max)
     ms = 1000 * (time.perf_counter() - started)
     truth = loaded.truth()
     return SegmentedCloud(

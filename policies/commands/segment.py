@@ -88,9 +88,11 @@ def _poses(args: Arguments, cloud: "SegmentedCloud", part: "PartModel") -> list[
     """Estimate the poses in a cloud, write them, and return the lines to print."""
     from perception.pose.edge_estimator import EdgePoseEstimator
     from perception.runtime.files import json_text, write_atomically
+    from perception.runtime.threads import default_threads, use_threads
     from policies.clouds import pose_lines, pose_values
 
-    poses = EdgePoseEstimator(part).estimate(cloud.points_cam, cloud.instances)
+    with use_threads(default_threads()):
+        poses = EdgePoseEstimator(part).estimate(cloud.points_cam, cloud.instances)
     path = args.folder() / "poses.json"
     write_atomically(path, json_text(pose_values(cloud, poses)))
     return [*pose_lines(poses), f"poses     {path}"]

@@ -1,6 +1,5 @@
 """What ``BinPick-v0`` refuses or holds to its range, and what it says then."""
 
-import multiprocessing
 import re
 from typing import Any
 
@@ -10,6 +9,7 @@ import pytest
 from binpick_env.cell.robot import HOME
 from binpick_env.env import BinPickEnv
 from binpick_env.env_arguments import thread_count
+from perception.runtime.threads import use_threads
 from tests.binpick_env.small_cell import REST, act, small_env
 
 
@@ -102,12 +102,10 @@ def test_the_number_of_parts_may_be_numpys() -> None:
     assert info["total"] == 2
 
 
-@pytest.mark.parametrize(("parent", "given", "threads"), [(None, None, None), (1, None, 1), (1, 2, 2), (None, 3, 3)])
-def test_a_copy_in_another_process_takes_one_thread_unless_told_otherwise(
-    monkeypatch: pytest.MonkeyPatch, parent: int | None, given: int | None, threads: int | None
-) -> None:
-    monkeypatch.setattr(multiprocessing, "parent_process", lambda: parent)
-    assert thread_count(given) == threads
+@pytest.mark.parametrize(("around", "given", "threads"), [(None, None, 1), (4, None, 4), (4, 2, 2), (None, 3, 3)])
+def test_a_cell_takes_one_thread_unless_told_otherwise(around: int | None, given: int | None, threads: int) -> None:
+    with use_threads(around):
+        assert thread_count(given) == threads
 
 
 def test_a_diverged_cell_is_an_error(shared_env: BinPickEnv) -> None:

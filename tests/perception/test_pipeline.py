@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,6 +16,7 @@ from perception.part import PartModel
 from perception.pipeline import STAGES, Perception, Pipeline, perceive_by
 from perception.pose.estimator import PoseEstimator
 from perception.pose.estimator_config import EstimatorConfig
+from perception.runtime.threads import use_threads
 from perception.segmentation import weights
 from perception.segmentation.predictor import SegmentationPredictor
 from perception.segmentation.weights import WeightsError
@@ -194,6 +196,25 @@ def test_the_settings_of_the_boundary_are_used() -> None:
         perceive_by(true_groups, ESTIMATOR, FRAME, BIN, settings),
     ):
         np.testing.assert_array_equal(seen.boundary.points_cam, expected.points_cam)
+
+
+@pytest.mark.parametrize(("around", "threads"), [(None, 1), (3, 3)])
+def test_it_computes_on_one_thread_unless_told_otherwise(around: int | None, threads: int) -> None:
+    """With the bin measured or not, and by any segmentation."""
+    before, seen = cv2.getNumThreads(), []
+
+    def groups(boundary: BoundaryCloud) -> list[Instance]:
+        seen.append(cv2.getNumThreads())
+        return []
+
+    cv2.setNumThreads(2)
+    with use_threads(around):
+        for measure_bin in (True, False):
+            Pipeline(KnowingPredictor(groups), ESTIMATOR, BIN, measure_bin=measure_bin).perceive(FRAME)
+        perceive_by(groups, ESTIMATOR, FRAME, BIN)
+    assert seen == [threads] * 3
+    assert cv2.getNumThreads() == 2
+    cv2.setNumThreads(before)
 
 
 def test_a_part_without_weights_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -250,8 +250,8 @@ def test_one_thread_setting_for_all(learned: BinPickEnv, monkeypatch: pytest.Mon
 
 
 def test_threads_arrive_at_the_perceiver() -> None:
-    for threads in (None, 2):
-        perceiver = cell("bracket", perception="gt_masks", threads=threads)._perceiver
+    for given, threads in ((None, 1), (2, 2)):
+        perceiver = cell("bracket", perception="gt_masks", threads=given)._perceiver
         assert isinstance(perceiver, PixelPerceiver)
         assert perceiver._threads == threads
 

@@ -1,15 +1,17 @@
 """One thread setting for OpenCV and torch."""
 
+import os
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from types import ModuleType
 
 import cv2
 import pytest
 import torch
 
-from perception.runtime.threads import in_threads, use_threads
+from perception.runtime.threads import default_threads, in_threads, use_threads
 
 
 @pytest.fixture
@@ -47,6 +49,78 @@ def test_none_leaves_the_libraries_alone(three_threads: None) -> None:
         assert threads() == (3, 3)
         cv2.setNumThreads(2)
     assert threads() == (3, 2)
+
+
+def test_one_thread_unless_a_context_says_otherwise(three_threads: None) -> None:
+    assert default_threads() == 1
+    with use_threads(4):
+        assert default_threads() == 4
+        with use_threads(2), use_threads(None):
+            assert default_threads() == 2
+        assert default_threads() == 4
+    assert default_threads() == 1
+
+
+def test_contexts_of_several_threads_leave_nothing_behind(three_threads: None) -> None:
+    """Entered and left in turn: the setting before the first returns with the last, in both threads."""
+    torch.set_num_threads(3)
+    inside, out = threading.Event(), threading.Event()
+    seen: dict[str, tuple[int, int]] = {}
+
+    def other() -> None:
+        with use_threads(2):
+            seen["other, inside"] = threads()
+            inside.set()
+            out.wait(10)
+            seen["other, alone"] = threads()
+        seen["other, after"] = threads()
+        assert default_threads() == 1
+
+    thread = threading.Thread(target=other)
+    with use_threads(1):
+        thread.start()
+        inside.wait(10)
+        seen["both"] = threads()
+    seen["after"] = threads()
+    fresh: list[int] = []
+    asker = threading.Thread(target=lambda: fresh.append(torch.get_num_threads()))
+    asker.start()
+    asker.join()
+    out.set()
+    thread.join()
+    assert seen == {
+        "other, inside": (2, 1),
+        "both": (1, 1),
+        "after": (3, 2),
+        "other, alone": (2, 2),
+        "other, after": (3, 3),
+    }
+    assert fresh == [2]  # what threads share is that of those still inside
+    assert threads() == (3, 3)
+
+
+def test_torch_that_another_thread_is_loading_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", ModuleType("torch"))
+    with use_threads(2):
+        assert cv2.getNumThreads() == 2
+
+
+NUMBA_QUERIES = """
+import numba, torch
+from perception.runtime.threads import use_threads
+torch.set_num_threads(2)
+with use_threads(1):
+    assert numba.get_num_threads() == 3
+    assert torch.get_num_threads() == 1, torch.get_num_threads()
+assert torch.get_num_threads() == 2
+"""
+
+
+def test_a_query_of_numbas_threads_leaves_torch_alone() -> None:
+    """Numba's start of its threads sets OpenMP's number, which torch shares, to all cores."""
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", NUMBA_QUERIES], env=environment | {"NUMBA_NUM_THREADS": "3"})
+    assert done.returncode == 0
 
 
 @pytest.mark.parametrize("count", [0, -1])
