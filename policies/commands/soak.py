@@ -21,10 +21,10 @@ class Arguments:
     """
 
     # env: steps of BinPick-v0; select: decisions of BinPickSelect-v0; fuzz: malformed inputs; kill: killed jobs, full
-    # disks, two writers; all four in turn unless given
+    # disks, two writers; load: 16 environments in one process; all five in turn unless given
     kind: SoakKind | None = None
-    # number of steps, decisions, inputs or kills, rounded up to whole units of work; 100 000, 10 000, 1000 and 100
-    # unless given
+    # number of steps, decisions, inputs, kills or simulated seconds, rounded up to whole units of work; 100 000,
+    # 10 000, 1000, 100 and 86 400 unless given
     count: int | None = None
     resets: int = 1000  # number of resets over which the growth of memory is fitted; 0 leaves it out
     seed: int = 0  # seed of everything that is drawn
@@ -37,7 +37,7 @@ class Arguments:
 
     def soaks(self) -> "list[Soak]":
         """Return the kinds that are run."""
-        from policies.soak import EnvSoak, FuzzSoak, KillSoak, SelectSoak
+        from policies.soak import EnvSoak, FuzzSoak, KillSoak, LoadSoak, SelectSoak
         from policies.soak.cell.memory import MemorySettings
 
         memory = MemorySettings(resets=self.resets) if self.resets else None
@@ -46,6 +46,7 @@ class Arguments:
             "select": lambda: SelectSoak(seed=self.seed, decisions=self._count(SelectSoak.decisions)),
             "fuzz": lambda: FuzzSoak(seed=self.seed, inputs=self._count(FuzzSoak.inputs)),
             "kill": lambda: KillSoak(seed=self.seed, kills=self._count(KillSoak.kills)),
+            "load": lambda: LoadSoak(seed=self.seed, seconds=self._count(LoadSoak.seconds)),
         }
         return [make() for kind, make in kinds.items() if self.kind in (None, kind)]
 

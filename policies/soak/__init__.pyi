@@ -1,4 +1,5 @@
 from .cell import EnvSoak as EnvSoak
+from .cell import LoadSoak as LoadSoak
 from .cell import SelectSoak as SelectSoak
 from .fuzz import FuzzSoak as FuzzSoak
 from .kill import KillSoak as KillSoak

@@ -2,4 +2,4 @@
 
 from typing import Literal
 
-SoakKind = Literal["env", "select", "fuzz", "kill"]
+SoakKind = Literal["env", "select", "fuzz", "kill", "load"]

@@ -70,7 +70,7 @@ class SelectSoak:
                         watch.begin(f"{'fast' if fast else 'full'}, reset with seed {seed}, decision {k}")
                         watch.judge_observation(observation, env.observation_space)
                         resets += 1
-                    observation, _, ended, cut, _ = env.step(_choice(env, rng))
+                    observation, _, ended, cut, _ = env.step(random_row(env, rng))
                     watch.judge_observation(observation, env.observation_space)
                     over = ended or cut
                     decisions += 1
@@ -89,7 +89,7 @@ class SelectSoak:
         """Nothing is open between units."""
 
 
-def _choice(env: GraspSelectionEnv, rng: np.random.Generator) -> np.int64:
+def random_row(env: GraspSelectionEnv, rng: np.random.Generator) -> np.int64:
     """Return a random row with a candidate, and now and then any row."""
     rows = np.flatnonzero(env.action_masks())
     if not len(rows) or rng.random() < EMPTY:
