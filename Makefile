@@ -3,13 +3,15 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt
+NEWEST := .venv-newest
+EXTRAS := learn,report,viz,cameras,docs,dev
 JOBS ?= 2
 # A file's tests run in one process, which builds the file's cells once.
 DIST := --dist loadfile --no-loadscope-reorder
 BENCH ?= cell
 ARGS ?=
 
-.PHONY: setup pick test test-fast lint type docs bench picture build clean help
+.PHONY: setup pick test test-fast test-newest lint type docs bench picture build clean help
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -28,7 +30,7 @@ $(VENV)/.run-stamp: pyproject.toml constraints.txt | $(BIN)/python
 $(VENV)/.dev-stamp: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing binpick with everything for development into $(VENV) ..."
 	$(PIP) torch==2.13.0
-	$(PIP) -e '.[learn,report,viz,cameras,docs,dev]' hatchling
+	$(PIP) -e '.[$(EXTRAS)]' hatchling
 	@touch $@ $(VENV)/.run-stamp
 
 setup: $(VENV)/.dev-stamp  ## make .venv with everything for development
@@ -42,6 +44,13 @@ test: $(VENV)/.dev-stamp  ## install, and run every test
 
 test-fast: $(VENV)/.dev-stamp  ## the tests without long simulations, trainings and processes
 	$(BIN)/python -m pytest -n $(JOBS) $(DIST) -m 'not slow' $(ARGS)
+
+test-newest:  ## every test on the newest versions of all dependencies, in an environment of its own
+	rm -rf $(NEWEST)
+	$(PYTHON) -m venv $(NEWEST)
+	$(NEWEST)/bin/python -m pip install --disable-pip-version-check --upgrade -e '.[$(EXTRAS)]' hatchling
+	$(NEWEST)/bin/python -m pip freeze --exclude-editable > $(NEWEST)/versions.txt
+	$(NEWEST)/bin/python -m pytest -n $(JOBS) $(DIST) $(ARGS)
 
 lint: $(VENV)/.dev-stamp  ## ruff, and the direction of the imports
 	$(BIN)/ruff check .
@@ -69,5 +78,5 @@ build: $(VENV)/.dev-stamp  ## the wheel in dist/, tested alone from another dire
 	BINPICK_WHEEL=$$(ls dist/*.whl) $(BIN)/python -m pytest tests/test_wheel.py -m slow
 
 clean:  ## remove what was made, results in runs/ excepted
-	rm -rf $(VENV) dist build docs/_build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(NEWEST) dist build docs/_build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

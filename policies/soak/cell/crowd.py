@@ -112,9 +112,7 @@ class Picking:
         """Close the environment and return what was done."""
         with suppress(Exception):
             self._env.close()
-        return Deeds(
-            digests=tuple(self._digests), seconds=self._seconds, decisions=self._decisions, error=self._error
-        )
+        return Deeds(digests=tuple(self._digests), seconds=self._seconds, decisions=self._decisions, error=self._error)
 
     def _note(self, observation: Mapping[str, Any], reward: float) -> None:
         data = self._env.cell.simulation.data

@@ -23,6 +23,7 @@ def test_all_kinds_run_in_full_unless_options_say_otherwise() -> None:
         "select": 500,
         "fuzz": 50,
         "kill": 125,
+        "load": 45,
     }
     assert arguments().folder() == Path("runs/soak-0")
     (env,) = arguments("--kind", "env", "--count", "1000", "--resets", "0", "--seed", "3").soaks()
