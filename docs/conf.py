@@ -19,7 +19,9 @@ gc.set_threshold(1_000_000, 50, 100)
 project = "binpick"
 author = "the binpick developers"
 project_copyright = "the binpick developers, MIT licence"
-version = release = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]["version"]
+version = release = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))[
+    "project"
+]["version"]
 
 extensions = [
     "myst_parser",
@@ -62,8 +64,8 @@ def write_environments(app: Sphinx) -> None:
         text = re.sub(r"(?m)^#", "##", inspect.getdoc(environment) or "")
         path = Path(app.srcdir) / "_generated" / f"{environment.__name__}.md"
         path.parent.mkdir(exist_ok=True)
-        if not path.exists() or path.read_text() != text:
-            path.write_text(text)
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
 
 
 def field_comments(kind: type) -> dict[str, str]:

@@ -46,7 +46,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     if not getattr(config.option, "numprocesses", None) or hasattr(config, "workerinput"):
         return
     sources = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("_*kernels.py"))]
-    kernels = digest(version("numba"), *((str(path), path.read_text()) for path in sources))
+    kernels = digest(version("numba"), *((str(path), path.read_text(encoding="utf-8")) for path in sources))
     cache = getattr(config, "cache", None)
     if cache is not None and cache.get(COMPILED, None) == kernels:
         return

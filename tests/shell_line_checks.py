@@ -39,7 +39,7 @@ class Line:
 
     def numbers(self, name: str) -> Any:
         """Return the JSON file of this name in the command's folder."""
-        return json.loads((self.out / name).read_text())
+        return json.loads((self.out / name).read_text(encoding="utf-8"))
 
     @property
     def out(self) -> Path:
@@ -72,7 +72,9 @@ def check_perceive(line: Line) -> None:
     unlimited = args.no_bin or (args.bin_pose is None and not args.find_bin)
     assert line.shown.count("no bin limits the poses") == (len(args.frames) if unlimited else 0)
     if args.json is not None:
-        assert [frame["poses"] for frame in json.loads(args.json.read_text())["frames"]] == [[] for _ in args.frames]
+        assert [frame["poses"] for frame in json.loads(args.json.read_text(encoding="utf-8"))["frames"]] == [
+            [] for _ in args.frames
+        ]
     for folder in (args.overlay, args.out):
         if folder is not None:
             assert all((folder / f"{path.stem}_poses.png").exists() for path in args.frames)
@@ -88,7 +90,7 @@ def _check_demo(line: Line) -> None:
     if line.args.overlay is not None:
         assert (line.folder / line.args.overlay / "depth_poses.png").exists()
     if line.args.bop is not None:
-        assert len((line.folder / line.args.bop).read_text().splitlines()) >= 10
+        assert len((line.folder / line.args.bop).read_text(encoding="utf-8").splitlines()) >= 10
 
 
 def check_pick(line: Line) -> None:
@@ -110,19 +112,19 @@ def check_pick(line: Line) -> None:
 
 def _check_run(out: Path, perception: str, bins: int) -> None:
     """Check numbers, page and list of a run of ``binpick pick``."""
-    numbers = json.loads((out / "results.json").read_text())
+    numbers = json.loads((out / "results.json").read_text(encoding="utf-8"))
     assert (numbers["bins"], numbers["parts_total"]) == (bins, PARTS * bins)
     assert numbers["config"]["perception"] == perception
     assert 1 <= numbers["delivered"] == numbers["successes"] <= numbers["attempts"]
     assert numbers["gsr"] == numbers["successes"] / numbers["attempts"]
     assert (numbers["ap"] is None) == (perception == "oracle")
-    frames = json.loads((out / "bin_0000.json").read_text())["frames"]
+    frames = json.loads((out / "bin_0000.json").read_text(encoding="utf-8"))["frames"]
     assert (frames[0]["segments"] is None) == (perception == "oracle")
     if perception == "gt_masks":
         assert numbers["ap"] == 1.0
     picks = _picks(out)
     assert sum(pick["outcome"] != "" for pick in picks) == numbers["attempts"]
-    report = (out / "report.html").read_text()
+    report = (out / "report.html").read_text(encoding="utf-8")
     assert report.count("src='data:image/webp;base64,") == len(picks)
     assert ("given" in report) == (perception != "learned")
 
@@ -139,7 +141,7 @@ def _check_budget(line: Line) -> None:
     for mode in modes:
         _check_run(line.out / mode, mode, line.args.bins)
     assert "segmentation (gt_masks - learned)" in line.shown
-    page = (line.out / "budget.html").read_text()
+    page = (line.out / "budget.html").read_text(encoding="utf-8")
     assert all(mode in page for mode in modes)
 
 
@@ -149,7 +151,7 @@ def check_assess(line: Line) -> None:
     numbers = line.numbers("assessment.json")
     assert (numbers["perception"]["scenes"], numbers["picking"]["parts"]) == (line.args.scenes, PARTS * line.args.bins)
     assert set(numbers["seconds"]) == {"part", "scenes", "bins"}
-    report = (line.out / "report.html").read_text()
+    report = (line.out / "report.html").read_text(encoding="utf-8")
     assert report.count("at rest, seen from above at an angle") == len(numbers["rests"])
     assert report.count("src='data:image/webp;base64,") >= 1
 
@@ -161,7 +163,7 @@ def check_compare(line: Line) -> None:
     )
     for row in ("GSR, grasp success [%]", "DR, parts delivered [%]", "MPPH, picks per hour"):
         assert any(text.startswith(row) for text in line.shown.splitlines())
-    assert "Settings that differ" in (line.folder / line.args.html).read_text()
+    assert "Settings that differ" in (line.folder / line.args.html).read_text(encoding="utf-8")
 
 
 def check_generate_scenes(line: Line) -> None:
@@ -218,7 +220,7 @@ def check_train_selector(line: Line) -> None:
 
 def check_evaluate_selector(line: Line) -> None:
     args = line.args
-    numbers = json.loads((line.folder / args.job().out / "selectors.json").read_text())
+    numbers = json.loads((line.folder / args.job().out / "selectors.json").read_text(encoding="utf-8"))
     assert len(numbers["selectors"]) == len(args.selectors)
     for result in numbers["selectors"].values():
         assert 0 <= result["dr"] <= 1

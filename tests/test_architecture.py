@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("perception", "binpick_env", "policies")
 SOURCES = sorted(path for name in (*PACKAGES, "scripts") for path in (ROOT / name).rglob("*.py"))
-SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
 def name_of(path: Path) -> str:
@@ -37,7 +37,7 @@ def test_importing_the_environment_leaves_heavy_packages_alone() -> None:
 
 def matching(pattern: str, paths: Iterable[Path]) -> list[str]:
     """Return the names of the files in which a line matches a pattern."""
-    return [name_of(path) for path in paths if re.search(pattern, path.read_text(), flags=re.MULTILINE)]
+    return [name_of(path) for path in paths if re.search(pattern, path.read_text(encoding="utf-8"), flags=re.MULTILINE)]
 
 
 def test_texts_are_read_and_written_in_utf_8_whatever_the_locale() -> None:
@@ -46,7 +46,7 @@ def test_texts_are_read_and_written_in_utf_8_whatever_the_locale() -> None:
 
 def longer_than(most: int, paths: Iterable[Path]) -> list[str]:
     """Return the files of more lines, which hold two ideas."""
-    lengths = {name_of(path): path.read_text().count("\n") for path in paths}
+    lengths = {name_of(path): path.read_text(encoding="utf-8").count("\n") for path in paths}
     return [f"{name}: {lines} lines" for name, lines in lengths.items() if lines > most]
 
 
@@ -80,24 +80,28 @@ def test_the_readmes_snippets_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_readmes_files_exist() -> None:
-    text = (ROOT / "README.md").read_text()
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
     targets = re.findall(r"\]\((?!https?:)([^)#]+)\)", text) + re.findall(r"scripts/\w+\.py", text)
     assert targets
     assert [target for target in targets if not (ROOT / target).exists()] == []
 
 
 def test_the_makefiles_help_names_every_target() -> None:
-    text = (ROOT / "Makefile").read_text()
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
     (phony,) = re.findall(r"^\.PHONY: (.*)$", text, flags=re.MULTILINE)
     documented = set(re.findall(r"^([a-z-]+):.*## ", text, flags=re.MULTILINE))
     assert set(phony.split()) == documented
 
 
 def test_constraints_pin_every_dependency_exactly() -> None:
-    lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")]
+    lines = [
+        line
+        for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+        if line and not line.startswith("#")
+    ]
     assert all(re.fullmatch(r"[\w.-]+==[\w.]+", line) for line in lines)  # no local versions such as +cpu
     pinned = {re.sub(r"[-_.]+", "-", line.split("==")[0]).lower() for line in lines}
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = [
         *project["dependencies"],
         *(name for extra in project["optional-dependencies"].values() for name in extra),
@@ -107,7 +111,7 @@ def test_constraints_pin_every_dependency_exactly() -> None:
 
 @pytest.mark.parametrize("name", ["README.md", "BENCHMARK.md", "CHANGELOG.md"])
 def test_no_figure_is_left_open(name: str) -> None:
-    assert "TODO" not in (ROOT / name).read_text()
+    assert "TODO" not in (ROOT / name).read_text(encoding="utf-8")
 
 
 def test_one_registration_is_all_that_points_against_the_imports() -> None:
@@ -116,7 +120,7 @@ def test_one_registration_is_all_that_points_against_the_imports() -> None:
     found = []
     for package, above in upward.items():
         for path in sorted((ROOT / package).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text())):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Constant) and isinstance(node.value, str):
                     named = re.fullmatch(r"(\w+)(\.\w+)+(:\w+)?", node.value)
                     if named and named.group(1) in above:

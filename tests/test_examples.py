@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-PAGES = [path for path in sorted((ROOT / "docs").rglob("*.md")) if "```python" in path.read_text()]
+PAGES = [path for path in sorted((ROOT / "docs").rglob("*.md")) if "```python" in path.read_text(encoding="utf-8")]
 
 
 def load(number: str) -> ModuleType:
@@ -26,8 +26,8 @@ def load(number: str) -> ModuleType:
 
 
 def test_every_example_is_listed_and_tested() -> None:
-    listed = (ROOT / "examples" / "README.md").read_text()
-    tests = Path(__file__).read_text()
+    listed = (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
+    tests = Path(__file__).read_text(encoding="utf-8")
     assert len(EXAMPLES) == 10
     for path in EXAMPLES:
         assert f"`{path.name}`" in listed
@@ -110,6 +110,6 @@ def test_the_sites_snippets_run(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for snippet in re.findall(r"```python\n(.*?)```", path.read_text(), flags=re.DOTALL):
+    for snippet in re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.DOTALL):
         exec(compile(snippet, path.name, "exec"), names)
     assert capsys.readouterr().out.strip()  # every page's snippets print what they found

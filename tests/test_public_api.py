@@ -35,7 +35,7 @@ def functions(path: Path) -> list[tuple[str, ast.FunctionDef]]:
             if isinstance(child, ast.FunctionDef | ast.ClassDef):
                 walk(child, f"{prefix}{child.name}.")
 
-    walk(ast.parse(path.read_text()), "")
+    walk(ast.parse(path.read_text(encoding="utf-8")), "")
     return found
 
 
@@ -69,7 +69,7 @@ def test_the_stub_of_a_package_lists_what_it_offers(name: str) -> None:
     stub = ROOT / name.replace(".", "/") / "__init__.pyi"
     imported = [
         alias.asname or alias.name
-        for node in ast.parse(stub.read_text()).body
+        for node in ast.parse(stub.read_text(encoding="utf-8")).body
         if isinstance(node, ast.ImportFrom) and node.level == 1
         for alias in node.names
     ]
@@ -96,7 +96,7 @@ def test_no_function_has_more_parameters_than_a_reader_can_hold(path: Path) -> N
 def test_arguments_are_described_so_that_they_are_understood_without_their_names() -> None:
     unclear, count = [], 0
     for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.FunctionDef | ast.ClassDef):
                 continue
             for section in re.findall(r"(?ms)^(?:Args|Attributes):\n(.*?)(?=^\w|\Z)", ast.get_docstring(node) or ""):

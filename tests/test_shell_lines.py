@@ -29,7 +29,7 @@ Story = list[list[str]]  # calls of binpick, without that word
 DEPEND_ON_RESULTS = (
     "over bins", "attempts by outcome", "failed attempts by stage", "abstentions by reason", "bins by their end",
 )  # fmt: skip
-MAKEFILE = (ROOT / "Makefile").read_text()
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 ALTERNATIVES = {"docs/howto/rooms.md"}  # its blocks are two ways to the same files
 NEEDS = {  # commands that a page asks for in its text, or whose place the user's own files take
     "docs/tutorials/engineer.md": command_lines(ROOT / "docs" / "howto" / "train_segmentation.md")[:1],
@@ -174,10 +174,10 @@ def test_other_lines_are_run_elsewhere(page: Path) -> None:
 
 def test_what_runs_elsewhere_exists() -> None:
     targets = set(re.findall(r"^([a-z-]+):", MAKEFILE, flags=re.MULTILINE))
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     installed = re.search(r"-e '\.\[(.*)\]'", MAKEFILE)
     assert installed is not None
-    script = (ROOT / ".ci" / "run").read_text()
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     for line in ELSEWHERE:
         program, *words = line.split()
         if program == "make":

@@ -55,23 +55,23 @@ def test_every_command_line_is_one_that_the_command_takes(path: Path, monkeypatc
 
 @pytest.mark.parametrize("path", PAGES, ids=name_of)
 def test_links_lead_somewhere(path: Path) -> None:
-    targets = re.findall(r"\]\((?!https?:|#)([^)#\s]+)", path.read_text())
+    targets = re.findall(r"\]\((?!https?:|#)([^)#\s]+)", path.read_text(encoding="utf-8"))
     assert [target for target in targets if not (path.parent / target).exists()] == []
 
 
 def test_every_command_is_in_the_reference() -> None:
-    text = (ROOT / "docs" / "reference" / "commands.md").read_text()
+    text = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `binpick ([\w-]+)` \|", text, flags=re.MULTILINE)) == {each.name for each in COMMANDS}
 
 
 def test_the_readme_fits_on_a_page() -> None:
-    lines = (ROOT / "README.md").read_text().splitlines()
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 160
     assert [line for line in lines if len(line) > 100] == []
 
 
 def test_every_page_is_in_the_table_of_contents() -> None:
-    index = (ROOT / "docs" / "index.md").read_text()
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     pages = {
         str(path.relative_to(ROOT / "docs").with_suffix("")) for path in PAGES if path.is_relative_to(ROOT / "docs")
     }
@@ -94,25 +94,27 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_a_network(site
     assert len(pages) > 20
     for page in pages:
         references = References()
-        references.feed(page.read_text())
+        references.feed(page.read_text(encoding="utf-8"))
         assert references.found, page
         for reference in references.found:
             assert not re.match(r"(https?:)?//", reference), (page, reference)
             if not reference.startswith("data:"):
                 assert (page.parent / reference.split("?")[0]).exists(), (page, reference)
-    styles = "".join(path.read_text(errors="replace") for path in site.rglob("*.css"))
+    styles = "".join(path.read_text(encoding="utf-8", errors="replace") for path in site.rglob("*.css"))
     assert re.findall(r"(?:url\(|@import )['\"]?https?:[^)'\"]+", styles) == []
 
 
 @pytest.mark.slow
 def test_the_reference_shows_fields_and_short_types(site: Path) -> None:
-    assert "GSR" in (site / "explanation" / "numbers.html").read_text()
-    text = re.sub(r"<[^>]+>", "", (site / "reference" / "perception.html").read_text())
+    assert "GSR" in (site / "explanation" / "numbers.html").read_text(encoding="utf-8")
+    text = re.sub(r"<[^>]+>", "", (site / "reference" / "perception.html").read_text(encoding="utf-8"))
     assert "PoseEstimator" in text
     assert "low – Canny’s weak threshold [grey levels]" in text  # the comment of a field
     assert "points_cam (NDArray[float64]) – (N, 3) float64 points in the camera frame [m]." in text
     assert "dtype[" not in text
-    assert "Picker(*args" not in re.sub(r"<[^>]+>", "", (site / "reference" / "policies.html").read_text())
+    assert "Picker(*args" not in re.sub(
+        r"<[^>]+>", "", (site / "reference" / "policies.html").read_text(encoding="utf-8")
+    )
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import numpy as np
 
 from binpick_env.env import BinPickEnv
 from perception.frame import Frame
-from perception.pipeline import Perception, Pipeline
+from perception.pipeline import Pipeline
 from policies.soak.cell.crowd import HEIGHT, WIDTH
 
 
@@ -26,17 +26,18 @@ def differences(parts: tuple[str, str], num_parts: tuple[int, int], seed: int, t
         The number of frames perceived at once, and a sentence for each whose poses are not the same bits.
     """
     pipelines, frames = zip(*(_scenes(part, num_parts, seed, threads) for part in parts), strict=True)
-    every = [(k, i) for k in range(len(parts)) for i in range(threads)]
+    of_first, of_both = [(0, i) for i in range(threads)], [(i % 2, i // 2) for i in range(threads)]
+
+    def seen(at: tuple[int, int]) -> bytes:
+        return _bits(pipelines[at[0]], frames[at[0]][at[1]])
+
     with ThreadPoolExecutor(threads) as pool:
-        rounds = [every[:threads], [(i % 2, i // 2) for i in range(threads)]]
-        together = [
-            (k, i, seen)
-            for pairs in rounds
-            for (k, i), seen in zip(pairs, pool.map(lambda at: _bits(pipelines[at[0]], frames[at[0]][at[1]]), pairs))
-        ]
-    alone = {(k, i): _bits(pipelines[k], frames[k][i]) for k, i in {(k, i) for k, i, _ in together}}
-    different = [f"{parts[k]}, frame {i}: other poses" for k, i, seen in together if seen != alone[k, i]]
-    return len(together), different
+        together = [*pool.map(seen, of_first), *pool.map(seen, of_both)]
+    every = [*of_first, *of_both]
+    alone = {at: seen(at) for at in set(every)}
+    pairs = zip(every, together, strict=True)
+    different = [f"{parts[k]}, frame {i}: other poses" for (k, i), bits in pairs if bits != alone[k, i]]
+    return len(every), different
 
 
 def _scenes(part: str, num_parts: tuple[int, int], seed: int, count: int) -> tuple[Pipeline, Sequence[Frame]]:
@@ -51,7 +52,7 @@ def _scenes(part: str, num_parts: tuple[int, int], seed: int, count: int) -> tup
 
 
 def _bits(pipeline: Pipeline, frame: Frame) -> bytes:
-    seen: Perception = pipeline.perceive(frame)
+    seen = pipeline.perceive(frame)
     values = [value for pose in seen.poses for value in (pose.T_cam_part, np.float64(pose.score))]
     groups = [segment.point_idx for segment in seen.segments]
     return b"".join(np.ascontiguousarray(array).tobytes() for array in (*values, *groups, seen.boundary.points_cam))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from binpick_env.jobs.process_map import WorkerError
-from policies.soak.cell import LoadSoak, crowd, load
+from policies.soak.cell import LoadSoak, crowd, load, shared_pipelines
 from policies.soak.cell.crowd import Deeds, Member, pick_alone, pick_together
 
 DEEDS = Deeds(digests=("a", "b", "c"), seconds=9.0, decisions=2, error="")
@@ -121,6 +121,22 @@ def test_an_exception_ends_its_member_alone(tmp_path: Path, monkeypatch: pytest.
     result = SMALL.run("00000", tmp_path)
     assert result.problems == (f"{members[1]}: FloatingPointError: the physics diverged",)
     assert result.counts["simulated seconds"] == 4
+
+
+def test_poses_that_are_not_the_same_bits_are_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a pipeline that remembers a number of the last frame that it saw."""
+    seen: list[Any] = []
+
+    def bits(pipeline: str, frame: int) -> bytes:
+        seen.append((pipeline, frame))
+        return f"{pipeline} {frame} {len(seen) if frame == 1 and pipeline == 'b' else 0}".encode()
+
+    monkeypatch.setattr(shared_pipelines, "_scenes", lambda part, *_: (part, range(4)))
+    monkeypatch.setattr(shared_pipelines, "_bits", bits)
+    frames, different = shared_pipelines.differences(("a", "b"), (1, 1), 0, 4)
+    assert different == ["b, frame 1: other poses"]
+    assert frames == 8
+    assert sorted(seen[:8]) == [*(("a", k) for k in (0, 0, 1, 1, 2, 3)), ("b", 0), ("b", 1)]
 
 
 def test_the_first_difference_is_named() -> None:
