@@ -93,8 +93,4 @@ def _trim() -> None:
 
 def _resident() -> float:
     """Return the bytes of memory that this process occupies, 0 where the system does not tell."""
-    return (
-        float(_RESIDENT.read_text(encoding="utf-8").split()[1]) * os.sysconf("SC_PAGE_SIZE")
-        if _RESIDENT.exists()
-        else 0.0
-    )
+    return float(_RESIDENT.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if _RESIDENT.exists() else 0.0
