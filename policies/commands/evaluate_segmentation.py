@@ -92,7 +92,7 @@ def run(args: Arguments) -> int:
     """Evaluate; return the exit code."""
     from binpick_env.cell.settle import SettleError
     from binpick_env.jobs.process_map import WorkerError
-    from perception.segmentation.training.loop import TrainingError
+    from perception.segmentation.training.errors import TrainingError
 
     stopped = f"stopped; what is finished is kept in {args.folder()}: the same command goes on"
     work = _ablation if args.ablation else _evaluation

@@ -157,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(args: Arguments) -> int:
     """Run a subcommand; return the exit code."""
     from binpick_env.jobs.process_map import WorkerError
-    from perception.segmentation.training.loop import TrainingError
+    from perception.segmentation.training.errors import TrainingError
 
     stopped = "stopped; finished rooms are kept: the same command resumes there"
     return exit_code(args.work, (ValueError, OSError, WorkerError, TrainingError), stopped)

@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(args: Arguments) -> int:
     """Make the table; return the exit code."""
     from binpick_env.jobs.process_map import WorkerError
-    from perception.segmentation.training.loop import TrainingError
+    from perception.segmentation.training.errors import TrainingError
 
     stopped = f"stopped; the same command resumes from {args.out}"
     return exit_code(lambda: _table(args), (ValueError, OSError, WorkerError, TrainingError), stopped)

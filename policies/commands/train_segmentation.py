@@ -182,7 +182,7 @@ def run(args: Arguments) -> int:
     """Train; return the exit code."""
     from binpick_env.cell.settle import SettleError
     from binpick_env.jobs.process_map import WorkerError
-    from perception.segmentation.training.loop import TrainingError
+    from perception.segmentation.training.errors import TrainingError
 
     stopped = f"stopped; the same command resumes from {args.folder()}"
     return exit_code(lambda: _train(args), (ValueError, OSError, TrainingError, SettleError, WorkerError), stopped)

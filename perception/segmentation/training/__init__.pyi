@@ -9,10 +9,10 @@ from .dataset import BatchSource as BatchSource
 from .dataset import find_scenes as find_scenes
 from .dataset import load_packed as load_packed
 from .dataset import split_scenes as split_scenes
+from .errors import TrainingError as TrainingError
 from .loop import Length as Length
 from .loop import StepRecord as StepRecord
 from .loop import Trainer as Trainer
-from .loop import TrainingError as TrainingError
 from .losses import AlphaSchedule as AlphaSchedule
 from .losses import PairLossConfig as PairLossConfig
 from .losses import PointAttributes as PointAttributes

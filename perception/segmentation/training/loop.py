@@ -15,6 +15,7 @@ from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.networks.output import PointOutputs
 from perception.segmentation.networks.precision import half_precision
 from perception.segmentation.training.dataset import Batch, BatchSource
+from perception.segmentation.training.errors import TrainingError
 from perception.segmentation.training.losses import (
     PointAttributes,
     confidence_loss,
@@ -26,10 +27,6 @@ from perception.segmentation.training.presets import TrainingConfig
 from perception.segmentation.weights import Network, build_network
 
 SKIPS = 10  # number of successive updates that may be skipped because a loss or gradient is not finite
-
-
-class TrainingError(RuntimeError):
-    """The training cannot continue."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -177,15 +177,13 @@ class AttemptLog:
         return Attempts.load([self.file(index) for index in bins])
 
 
-_environments: dict[Cells, GraspSelectionEnv] = {}  # cache of this process: to build one takes seconds
+_environments: dict[Cells, GraspSelectionEnv] = {}  # the last one of this process: to build one takes seconds
 
 
 def log_bin(log: AttemptLog, index: int) -> int:
     """Pick bin ``index``, write its attempts and return the index."""
     cells, behaviour = log.cells, log.behaviour
-    if cells not in _environments:
-        _environments[cells] = cells.environment()
-    env, selector = _environments[cells], load_selector(behaviour.selector)
+    env, selector = _environment(cells), load_selector(behaviour.selector)
     bin_seed = np.random.SeedSequence([log.seed, index]).generate_state(1)[0]
     rng = np.random.default_rng([log.seed, index, 1])
     observation, _ = env.reset(seed=int(bin_seed))
@@ -206,6 +204,16 @@ def log_bin(log: AttemptLog, index: int) -> int:
         observation, over = after, terminated or truncated
     _save(log.file(index), rows, env)
     return index
+
+
+def _environment(cells: Cells) -> GraspSelectionEnv:
+    """Return the environment of these cells; only that of the last cells is kept."""
+    if cells not in _environments:
+        for former in _environments.values():
+            former.close()
+        _environments.clear()  # before the next one is built: each holds hundreds of megabytes
+        _environments[cells] = cells.environment()
+    return _environments[cells]
 
 
 def _probed(

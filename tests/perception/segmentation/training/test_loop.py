@@ -16,7 +16,8 @@ from perception.segmentation.networks.sgpn import SgpnConfig
 from perception.segmentation.training import run as run_module
 from perception.segmentation.training.checkpoint import FORMAT, CheckpointError, load_checkpoint, save_checkpoint
 from perception.segmentation.training.dataset import Batch, BatchMaker
-from perception.segmentation.training.loop import SKIPS, Length, StepRecord, Trainer, TrainingError, learning_rate
+from perception.segmentation.training.errors import TrainingError
+from perception.segmentation.training.loop import SKIPS, Length, StepRecord, Trainer, learning_rate
 from perception.segmentation.training.packed import PackedScene
 from perception.segmentation.training.presets import PRESETS, TrainingConfig, fine_tuning
 from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS, RunConfig, read_log, resume, train, validate

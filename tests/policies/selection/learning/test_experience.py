@@ -11,8 +11,9 @@ import pytest
 from binpick_env.camera.sensor import PRESETS
 from binpick_env.options import CellOptions
 from policies.selection.features import column
+from policies.selection.learning import experience
 from policies.selection.learning.experience import CONFIG, Attempts, Behaviour, Cells, ExperienceError
-from tests.policies.selection.learning.toy_selection import PARTS, attempt_log
+from tests.policies.selection.learning.toy_selection import CELLS, PARTS, ToySelection, attempt_log
 
 # --- cells -----------------------------------------------------------------------------------------------------------
 
@@ -50,6 +51,25 @@ def test_epsilon_mixes_in_random_choices(tmp_path: Path, toys: None) -> None:
         assert set(attempts.bins) == set(range(30))
         quality = attempts.grasps[np.arange(len(attempts)), attempts.chosen, column("quality")]
         np.testing.assert_array_equal(attempts.delivered, quality > 0.5)
+
+
+def test_a_process_keeps_the_environment_of_the_last_cells_alone(
+    tmp_path: Path, toys: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built: list[ToySelection] = []
+
+    def build(cells: Cells) -> ToySelection:
+        assert len(experience._environments) == 0, "the former one is let go of before the next is built"
+        built.append(ToySelection())
+        return built[-1]
+
+    monkeypatch.setattr(Cells, "environment", build)
+    for k, max_failures in enumerate((2, 2, 3, 2)):
+        cells = replace(CELLS, max_failures=max_failures)
+        log = replace(attempt_log(tmp_path / str(max_failures)), cells=cells)
+        list(log.fill([k]))
+        assert list(experience._environments) == [cells]
+    assert [env.closed for env in built] == [True, True, False]
 
 
 def test_several_grasps_are_tried_from_each_state(tmp_path: Path, toys: None) -> None:

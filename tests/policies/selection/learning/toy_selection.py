@@ -27,6 +27,10 @@ class ToySelection(gym.Env[dict[str, np.ndarray], np.int64]):
         )  # type: ignore[assignment]
         self.action_space = gym.spaces.Discrete(ROWS)
         self.result: Any = None
+        self.closed = False
+
+    def close(self) -> None:
+        self.closed = True
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
         super().reset(seed=seed)
