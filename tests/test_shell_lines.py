@@ -6,6 +6,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,11 @@ from perception.geometry import make_transform
 from perception.segmentation import weights
 from policies.commands.command_line import parse
 from policies.commands.registry import COMMANDS
+from policies.soak import EnvSoak
 from tests.pages import PAGES, ROOT, blocks, calls_binpick, command_lines, name_of, shell_lines
 from tests.policies.commands.command_calls import run
 from tests.shared_models import share_models, share_shaded_meshes
-from tests.shell_line_checks import TINY, Line
+from tests.shell_line_checks import PARTS, TINY, Line
 
 BLOCK = (50, 30, 20)  # sides of the part of one's own [mm]
 EMPTY_BINS = ("bin_01", "bin_02")  # frames that the pages perceive
@@ -49,6 +51,14 @@ ELSEWHERE = {  # other shell lines, and what runs them
     "python -m pip install -e .[viz]": "`make setup` installs all extras",
     "rerun bin.rrd": "it opens a window; the recording is read here",
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShortSoak(EnvSoak):
+    """A unit of fewer steps of few parts, which no option of the command makes smaller."""
+
+    chunk: int = 20
+    num_parts: tuple[int, int] = (1, PARTS)
 
 
 def empty_bin(k: int) -> Frame:
@@ -103,7 +113,7 @@ def tiny(words: Sequence[str]) -> list[str]:
 def run_story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[Story], list[Line]]]:
     """Return a function that runs calls in one folder and returns what they did; equal calls run once for all pages.
 
-    Weights are installed for this file alone.
+    Weights are installed for this file alone, and a soak test is short.
     """
     share_models()
     share_shaded_meshes()
@@ -128,6 +138,7 @@ def run_story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[St
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(weights, "user_folder", lambda: installed)
+        patch.setattr("policies.soak.EnvSoak", ShortSoak)
         yield follow
 
 

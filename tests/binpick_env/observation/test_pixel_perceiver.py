@@ -45,6 +45,33 @@ def known() -> BinPickEnv:
     return env
 
 
+# --- cells of their own, before those that tests share are made
+
+
+def test_threads_arrive_at_the_perceiver() -> None:
+    for given, threads in ((None, 1), (2, 2)):
+        perceiver = cell("bracket", perception="gt_masks", threads=given)._perceiver
+        assert isinstance(perceiver, PixelPerceiver)
+        assert perceiver._threads == threads
+
+
+def test_gym_makes_a_cell_that_sees_by_pixels() -> None:
+    env = gym.make("BinPick-v0", num_parts=3, threads=1)
+    inner = env.unwrapped
+    assert isinstance(inner, BinPickEnv)
+    observation, _ = env.reset(seed=31)
+    seen = seen_in(inner)
+    assert len(seen.boundary) > 1000
+    assert set(seen.ms) == {"boundary", "segmentation", "poses", "explanation"}
+    assert observation["candidate_mask"].sum() == len(seen.poses) == 3
+    assert_right(inner, inner.candidates)
+    truth = inner.simulation.part_poses()
+    for candidate in inner.candidates:  # estimated, not perceived up
+        assert np.abs(candidate.T_world_part - truth[candidate.part]).max() > 1e-7
+        assert 0.5 <= candidate.score < 1.0
+    env.close()
+
+
 # --- from a pose to a candidate
 
 
@@ -249,31 +276,7 @@ def test_one_thread_setting_for_all(learned: BinPickEnv, monkeypatch: pytest.Mon
     assert threads == [(1, 1), (2, 2)]
 
 
-def test_threads_arrive_at_the_perceiver() -> None:
-    for given, threads in ((None, 1), (2, 2)):
-        perceiver = cell("bracket", perception="gt_masks", threads=given)._perceiver
-        assert isinstance(perceiver, PixelPerceiver)
-        assert perceiver._threads == threads
-
-
 # --- the environment
-
-
-def test_gym_makes_a_cell_that_sees_by_pixels() -> None:
-    env = gym.make("BinPick-v0", num_parts=3, threads=1)
-    inner = env.unwrapped
-    assert isinstance(inner, BinPickEnv)
-    observation, _ = env.reset(seed=31)
-    seen = seen_in(inner)
-    assert len(seen.boundary) > 1000
-    assert set(seen.ms) == {"boundary", "segmentation", "poses", "explanation"}
-    assert observation["candidate_mask"].sum() == len(seen.poses) == 3
-    assert_right(inner, inner.candidates)
-    truth = inner.simulation.part_poses()
-    for candidate in inner.candidates:  # estimated, not perceived up
-        assert np.abs(candidate.T_world_part - truth[candidate.part]).max() > 1e-7
-        assert 0.5 <= candidate.score < 1.0
-    env.close()
 
 
 def test_a_frame_is_perceived_once(learned: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,11 @@ ELSEWHERE = CellConfig(
 DYNAMICS = {
     *("actuator_acc0", "body_invweight0", "body_subtreemass", "dof_M0", "dof_invweight0", "light_poscom0"),
 }
-SCENE = PlanningScene(CellConfig(bin=BinConfig(wall=0.02)))
+
+
+@pytest.fixture(scope="module")
+def scene() -> PlanningScene:
+    return PlanningScene(CellConfig(bin=BinConfig(wall=0.02)))
 
 
 def arrays(model: mujoco.MjModel) -> dict[str, np.ndarray]:
@@ -25,8 +29,8 @@ def arrays(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     return {name: value for name, value in named.items() if isinstance(value, np.ndarray) and name not in DYNAMICS}
 
 
-def test_a_moved_scene_is_the_one_compiled_as_a_whole() -> None:
-    moved, made = SCENE.around(ELSEWHERE), PlanningScene(ELSEWHERE)
+def test_a_moved_scene_is_the_one_compiled_as_a_whole(scene: PlanningScene) -> None:
+    moved, made = scene.around(ELSEWHERE), PlanningScene(ELSEWHERE)
     for one, other in ((moved.model, made.model), (moved.arm_model, made.arm_model)):
         there = arrays(other)
         assert {"geom_pos", "geom_size", "body_pos", "bvh_aabb", "bvh_nodeid"} <= set(there)
@@ -40,19 +44,19 @@ def test_a_moved_scene_is_the_one_compiled_as_a_whole() -> None:
         np.testing.assert_array_equal(moved.tcp_poses(q[None]), made.tcp_poses(q[None]))
 
 
-def test_the_scene_that_was_moved_stays_where_it_was() -> None:
-    before = {name: value.copy() for name, value in arrays(SCENE.model).items()}
-    config = SCENE.config
-    SCENE.around(ELSEWHERE)
-    assert SCENE.config is config
-    for name, value in arrays(SCENE.model).items():
+def test_the_scene_that_was_moved_stays_where_it_was(scene: PlanningScene) -> None:
+    before = {name: value.copy() for name, value in arrays(scene.model).items()}
+    config = scene.config
+    scene.around(ELSEWHERE)
+    assert scene.config is config
+    for name, value in arrays(scene.model).items():
         np.testing.assert_array_equal(value, before[name], err_msg=name)
 
 
-def test_another_robot_or_another_kind_of_bin_is_refused() -> None:
+def test_another_robot_or_another_kind_of_bin_is_refused(scene: PlanningScene) -> None:
     with pytest.raises(ValueError, match=r"the robot must be the scene's .* but for its pedestal, got "):
-        SCENE.around(CellConfig(robot=RobotConfig(jaw=0.05)))
+        scene.around(CellConfig(robot=RobotConfig(jaw=0.05)))
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(name="wall", type=mujoco.mjtGeom.mjGEOM_BOX, size=[1, 1, 1])
     with pytest.raises(ValueError, match="the body 'world' must have the same geoms in both models, got"):
-        with_surroundings(SCENE.model, spec.compile(), 0.1)
+        with_surroundings(scene.model, spec.compile(), 0.1)

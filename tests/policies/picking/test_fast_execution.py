@@ -41,6 +41,23 @@ def count_steps(env: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch) -> list
     return steps
 
 
+# --- cells of their own, before those that tests share are made
+
+
+@pytest.mark.parametrize(("part", "outcome"), [("part_a", GraspOutcome.COLLIDED), ("part_b", GraspOutcome.DOUBLE)])
+def test_what_the_frame_did_not_show_has_its_effect(part: str, outcome: GraspOutcome) -> None:
+    """Kinematic motion ends before a part that is not in the frame; two lids in one jaw are not a lone load."""
+    env = GraspSelectionEnv(part, **SMALL, fast=True)
+    cell = HandCell(env.cell, env.picker)
+    cell.lay(cell.flat(), unseen=[cell.flat(above=cell.thickness + 0.001)])
+    assert env.picker.pick().outcome is outcome
+    assert np.all(np.isfinite(env.cell.simulation.part_centres()))
+    env.close()
+
+
+# --- cells that tests share
+
+
 def test_a_bin_is_emptied_with_a_third_of_the_steps(
     full: GraspSelectionEnv, fast: GraspSelectionEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,11 +107,9 @@ def test_two_fast_copies_stay_equal(fast: GraspSelectionEnv) -> None:
         over = ends[1]
 
 
-@pytest.fixture(scope="module")
-def kinematic() -> tuple[BinPickEnv, KinematicMotion]:
-    env = BinPickEnv("tee", num_parts=(1, 2), perception="oracle", threads=1)
-    env.reset(seed=0)
-    return env, KinematicMotion(env.simulation)
+@pytest.fixture
+def kinematic(full: GraspSelectionEnv) -> tuple[BinPickEnv, KinematicMotion]:
+    return full.cell, KinematicMotion(full.cell.simulation)
 
 
 def test_kinematic_motion_ends_where_the_physics_end(kinematic: tuple[BinPickEnv, KinematicMotion]) -> None:
@@ -145,17 +160,6 @@ def test_a_load_is_carried_as_it_hangs(fast: GraspSelectionEnv) -> None:
     finally:
         motion.carry = carry
     np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
-
-
-@pytest.mark.parametrize(("part", "outcome"), [("part_a", GraspOutcome.COLLIDED), ("part_b", GraspOutcome.DOUBLE)])
-def test_what_the_frame_did_not_show_has_its_effect(part: str, outcome: GraspOutcome) -> None:
-    """Kinematic motion ends before a part that is not in the frame; two lids in one jaw are not a lone load."""
-    env = GraspSelectionEnv(part, **SMALL, fast=True)
-    cell = HandCell(env.cell, env.picker)
-    cell.lay(cell.flat(), unseen=[cell.flat(above=cell.thickness + 0.001)])
-    assert env.picker.pick().outcome is outcome
-    assert np.all(np.isfinite(env.cell.simulation.part_centres()))
-    env.close()
 
 
 def test_pairs_start_from_one_state_and_agree(full: GraspSelectionEnv, fast: GraspSelectionEnv) -> None:

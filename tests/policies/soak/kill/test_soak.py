@@ -50,6 +50,7 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Use:
         monkeypatch.setattr(process, "_PROGRAM", text)
         monkeypatch.setattr(soak_module, "JOBS", (TOY,))
         monkeypatch.setattr(soak_module, "EARLY", 0.0)
+        monkeypatch.setattr(soak_module, "REHEARSALS", 1)
         return KillSoak(kills=1, jobs=("pick",))
 
     return program
