@@ -142,7 +142,7 @@ def _run(config: "EvaluationConfig", job: "Job") -> "list[BinRecord]":
         def on_pick(result: "PickResult") -> None:
             tally["attempts"] += result.outcome is not None
             tally["delivered"] += result.delivered
-            bar.set_postfix({"last": str(result.outcome or result.abstention), **tally})
+            bar.set_postfix({"last": str(result.ending), **tally})
 
         def on_bin(record: "BinRecord") -> None:
             bar.set_postfix(last=f"{record.delivered}/{record.parts_total} parts")

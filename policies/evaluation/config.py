@@ -20,6 +20,7 @@ from binpick_env.parts.unit import Unit
 from perception.bin import Trust
 from perception.runtime.records import RecordError
 from perception.segmentation.choices import NetworkName
+from policies.grasping.pushes import PushSettings
 from policies.picking.settings import PickerSettings
 
 _log = logging.getLogger(__name__)
@@ -66,6 +67,8 @@ class EvaluationConfig:
         for name in _NEWER_FIELDS:
             if values[name] is None:
                 del values[name]
+        if values["picker"]["push"] == asdict(PushSettings()):  # nor had older runs pushes, which are off by default
+            del values["picker"]["push"]
         if self.network == "grid":  # nor do older runs know other networks
             del values["network"]
         path = Path(self.part)

@@ -13,7 +13,7 @@ from perception.runtime.records import RecordError, RecordFormat
 from policies.evaluation.failure_attribution import FailureStage, attribute_failure
 from policies.evaluation.frame_record import CandidateRecord, FrameRecord
 from policies.evaluation.undelivered import UndeliveredPart
-from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
+from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult, PushOutcome
 from policies.picking.episode import BinResult, Termination
 
 PICTURES = (".jpg", ".webp", ".png")  # kinds of pictures of a record
@@ -25,8 +25,8 @@ class PickRecord:
     """One decision; see :class:`policies.grasping.outcomes.PickResult`.
 
     Attributes:
-        outcome: How the attempt ended; None for an abstention.
-        abstention: Why nothing was attempted; None for an attempt.
+        outcome: How the attempt ended; None if there was none.
+        abstention: Why nothing was done; None for an attempt or a push.
         part: Index of the part that was aimed at, -1 if unknown.
         delivered: Number of parts that the attempt delivered.
         t_sense: Nominal time of the exposure [s].
@@ -41,6 +41,7 @@ class PickRecord:
         failure_attribution: Stage at which a failed attempt failed; None for a delivery or an abstention, or if there
             is no record of its frame.
         picture: File name of the picture of the decision, beside the record; "" if there is none.
+        push: How the push ended; None if there was none.
     """
 
     outcome: GraspOutcome | None
@@ -58,6 +59,12 @@ class PickRecord:
     candidate: int | None = None
     failure_attribution: FailureStage | None = None
     picture: str = ""
+    push: PushOutcome | None = None
+
+    @property
+    def ending(self) -> GraspOutcome | Abstention | PushOutcome | None:
+        """How the decision ended, whichever kind it was."""
+        return self.outcome or self.abstention or self.push
 
     @classmethod
     def from_result(cls, result: PickResult, picture: str = "", frame: FrameRecord | None = None) -> "PickRecord":
@@ -89,6 +96,7 @@ class PickRecord:
             candidate=None if grasp is None else grasp.candidate,
             failure_attribution=failed_at,
             picture=picture,
+            push=result.push,
         )
 
 
@@ -138,6 +146,11 @@ class BinRecord:
     def attempts(self) -> tuple[PickRecord, ...]:
         """The decisions that led to an attempt."""
         return tuple(pick for pick in self.picks if pick.outcome is not None)
+
+    @property
+    def timed(self) -> tuple[PickRecord, ...]:
+        """The decisions whose time counts in rates per hour: attempts and pushes."""
+        return tuple(pick for pick in self.picks if pick.abstention is None)
 
     def frame(self, frame_id: int) -> FrameRecord | None:
         """Return the record of the frame with this number, None if there is none."""
@@ -235,6 +248,12 @@ def _pick(values: dict[str, Any]) -> PickRecord:
     unknown = set(values) - {f.name for f in fields(PickRecord)}
     if unknown:
         raise RecordError(f"a pick has no field {', '.join(sorted(unknown))}")
-    kinds = {"outcome": GraspOutcome, "abstention": Abstention, "failure_attribution": FailureStage}
+    kinds = {
+        "outcome": GraspOutcome,
+        "abstention": Abstention,
+        "failure_attribution": FailureStage,
+        "push": PushOutcome,
+    }
+    values = {"push": None} | values  # records of earlier versions have none
     words = {name: None if values[name] is None else kind(values[name]) for name, kind in kinds.items()}
     return PickRecord(**{**values, **words})

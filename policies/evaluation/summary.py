@@ -16,7 +16,7 @@ from policies.evaluation.failure_attribution import FailureStage
 from policies.evaluation.frame_summary import over_bins, summarise_frames
 from policies.evaluation.records import BinRecord
 from policies.evaluation.statistics import Interval, Rate, bootstrap_ratio, rate
-from policies.grasping.outcomes import Abstention, GraspOutcome
+from policies.grasping.outcomes import Abstention, GraspOutcome, PushOutcome
 from policies.picking.episode import Termination
 
 
@@ -27,7 +27,8 @@ class Summary:
     Attributes:
         gsr: Grasp success rate: successes / attempts, pooled over the bins.
         dr: Declutter rate: parts delivered / parts settled, pooled.
-        mpph: Mean picks per hour, 3600 q / (t_sense + t_compute + t_motion), means over attempts.
+        mpph: Mean picks per hour, 3600 q / (t_sense + t_compute + t_motion), means over attempts; the time of pushes is
+            added.
         motion_dph: Deliveries per hour of simulated motion alone, 3600 q / t_motion.
         attempts: Number of executed attempts.
         successes: Number of attempts that delivered exactly one part.
@@ -38,6 +39,7 @@ class Summary:
         abstentions: Number of decisions without an attempt, by reason.
         termination: Number of bins, by the reason why they ended.
         outcomes: Number of attempts, by how they ended.
+        pushes: Number of pushes, by how they ended. Their time counts in mpph and motion_dph.
         time: Means over attempts [s]: sense (nominal), compute (wall clock, one core), motion (simulated).
         wall: Wall clock without listeners such as pictures: mean of an attempt without the drop [s], mean of a bin
             with the drop [s], and the share of the whole in which frames were rendered.
@@ -86,6 +88,7 @@ class Summary:
     abstentions: dict[str, int]
     termination: dict[str, int]
     outcomes: dict[str, int]
+    pushes: dict[str, int] = field(default_factory=dict)
     time: dict[str, float | None]
     wall: dict[str, float | None]
     ap: float | None = None
@@ -157,8 +160,12 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
     delivered = sum(record.delivered for record in records)
     gsr, dr = rate(successes, len(attempts)), rate(delivered, settled)
     bins = [(sum(a.outcome is GraspOutcome.DELIVERED for a in r.attempts), len(r.attempts)) for r in records]
-    mpph, mpph_interval = _per_hour(delivering, times.sum(axis=1), rng)
-    motion_dph, motion_interval = _per_hour(delivering, times[:, 2], rng)
+    timed = [pick for record in records for pick in record.timed]
+    spent = np.array([(a.t_sense, a.t_compute, a.t_motion) for a in timed]).reshape(-1, 3)
+    counted = np.array([pick.outcome is GraspOutcome.DELIVERED for pick in timed], dtype=np.float64)
+    pushes = [pick.push for pick in timed if pick.push is not None]
+    mpph, mpph_interval = _per_hour(counted, spent.sum(axis=1), rng)
+    motion_dph, motion_interval = _per_hour(counted, spent[:, 2], rng)
     gsr_bins = over_bins(bins, rng)
     dr_bins = over_bins([(record.delivered, record.parts_total) for record in records], rng)
     perception = summarise_frames(records, rng)
@@ -175,6 +182,7 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
         abstentions=_count(Abstention, [p.abstention for r in records for p in r.picks if p.abstention is not None]),
         termination=_count(Termination, [record.termination for record in records]),
         outcomes=_count(GraspOutcome, [pick.outcome for pick in attempts]),
+        pushes=_count(PushOutcome, pushes),
         time={name: _mean(times[:, k]) for k, name in enumerate(("sense", "compute", "motion"))},
         wall=_wall(records, len(attempts)),
         ap=perception.ap["ap"],

@@ -34,6 +34,8 @@ def result_table(summary: Summary) -> str:
     lines += _counts("attempts by outcome", summary.outcomes, summary.attempts)
     lines += _counts("failed attempts by stage", summary.failure_attribution, summary.failures)
     lines += _counts("abstentions by reason", summary.abstentions, sum(summary.abstentions.values()))
+    if sum(summary.pushes.values()):
+        lines += _counts("pushes by outcome", summary.pushes, sum(summary.pushes.values()))
     lines += _counts("bins by their end", summary.termination, summary.bins)
     lines += ["─" * WIDTH, *_parts(summary), *_clutter(summary)]
     if len(summary.git_commits) > 1:

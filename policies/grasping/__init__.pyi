@@ -1,5 +1,6 @@
 from .clearance import RankSettings as RankSettings
 from .clearance import RankStats as RankStats
+from .clearance import clear_among as clear_among
 from .clearance import clear_of_floor as clear_of_floor
 from .clearance import clearances as clearances
 from .clearance import rank_grasps as rank_grasps
@@ -20,3 +21,7 @@ from .outcomes import Grasp as Grasp
 from .outcomes import GraspCandidate as GraspCandidate
 from .outcomes import GraspOutcome as GraspOutcome
 from .outcomes import PickResult as PickResult
+from .outcomes import PushOutcome as PushOutcome
+from .pushes import Push as Push
+from .pushes import PushSettings as PushSettings
+from .pushes import find_pushes as find_pushes

@@ -155,12 +155,34 @@ def clear_of_floor(
         (G,) whether each grasp is within the largest tilt and clear at some opening.
     """
     require_shape("T_floor_part", T_floor_part, (4, 4))
+    return clear_among(HeightMap.plane(), T_floor_part, grasps, gripper, settings)
+
+
+def clear_among(
+    surroundings: HeightMap,
+    T_world_part: Floats,
+    grasps: GraspSet,
+    gripper: GripperModel,
+    settings: RankSettings | None = None,
+) -> NDArray[np.bool_]:
+    """Tell which grasps on one part are clear of its surroundings.
+
+    Args:
+        surroundings: Heights of everything but the part.
+        T_world_part: (4, 4) pose of the part.
+        grasps: Grasps on the part.
+        gripper: Points on the gripper's surfaces.
+        settings: Largest tilt of the approach, and the margin; the defaults if None.
+
+    Returns:
+        (G,) whether each grasp is within the largest tilt and clear at some opening.
+    """
     settings = settings or RankSettings()
-    down = -(grasps.T_part_grasp[:, :3, 2] @ T_floor_part[2, :3])
+    down = -(grasps.T_part_grasp[:, :3, 2] @ T_world_part[2, :3])
     upright = np.flatnonzero(down >= np.cos(settings.max_tilt))
-    T_floor_grasp = T_floor_part @ grasps.T_part_grasp[upright]
-    placed = _Placed(grasps=grasps.take(upright), T_world_grasp=T_floor_grasp, down=down[upright])
-    opening, _ = _open(HeightMap.plane(), placed, gripper, settings)
+    T_world_grasp = T_world_part @ grasps.T_part_grasp[upright]
+    placed = _Placed(grasps=grasps.take(upright), T_world_grasp=T_world_grasp, down=down[upright])
+    opening, _ = _open(surroundings, placed, gripper, settings)
     clear = np.zeros(len(grasps), dtype=np.bool_)
     clear[upright] = opening >= 0
     return clear

@@ -20,6 +20,7 @@ class GraspOutcome(StrEnum):
     DOUBLE = "double"  # more than one part came along
     LEFT_BIN = "left_bin"  # a part came to lie outside of bin and tray
     NOT_SETTLED = "not_settled"  # released, but not at rest in the tray in time
+    PUT_BACK = "put_back"  # the picker found more than one part in its jaw and put them back into the bin
 
 
 class Abstention(StrEnum):
@@ -28,6 +29,16 @@ class Abstention(StrEnum):
     NO_CANDIDATE = "no_candidate"  # perception found no part
     NO_CLEAR_APPROACH = "no_clear_approach"  # every grasp would touch a neighbour or a wall, or failed before
     IK_INFEASIBLE = "ik_infeasible"  # clear grasps exist, but the arm reaches none of them
+
+
+class PushOutcome(StrEnum):
+    """How a push ended: a motion of the closed fingertips that moves a part instead of picking it."""
+
+    FREED = "freed"  # a grasp can be planned in the frame after the push
+    MOVED = "moved"  # the fingertips pressed and dragged, but there is no grasp yet
+    BROKEN_OFF = "broken_off"  # the contact force exceeded its limit on the way
+    NOT_TOUCHED = "not_touched"  # the fingertips met nothing where the part was expected
+    LEFT_BIN = "left_bin"  # a part came to lie outside of the bin
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -73,12 +84,13 @@ class GraspCandidate:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PickResult:
-    """One decision of a picker: an executed attempt, or an abstention.
+    """One decision of a picker: an executed attempt, an abstention, or a push. One of the first three is not None.
 
     Attributes:
-        outcome: How the attempt ended; None for an abstention.
-        abstention: Why no attempt was made; None for an attempt.
-        grasp: Grasp that was attempted; None for an abstention.
+        outcome: How the attempt ended.
+        abstention: Why no attempt was made.
+        push: How the push ended.
+        grasp: Grasp that was attempted; None unless an attempt was made.
         part: True index of the target part, -1 if unknown (for reports; a policy never reads it).
         delivered: Number of parts delivered by the attempt (0 or 1).
         t_sense: Nominal exposure time [s].
@@ -89,6 +101,7 @@ class PickResult:
 
     outcome: GraspOutcome | None = None
     abstention: Abstention | None = None
+    push: PushOutcome | None = None
     grasp: GraspCandidate | None = None
     part: int = -1
     delivered: int = 0
@@ -98,8 +111,15 @@ class PickResult:
     frame_id: int = -1
 
     def __post_init__(self) -> None:
-        if (self.outcome is None) == (self.abstention is None):
-            raise ValueError("a PickResult has either an outcome or an abstention")
+        if [self.outcome, self.abstention, self.push].count(None) != 2:
+            raise ValueError("a PickResult has either an outcome or an abstention or a push")
+
+    @property
+    def ending(self) -> GraspOutcome | Abstention | PushOutcome:
+        """How the decision ended, whichever kind it was."""
+        ending = self.outcome or self.abstention or self.push
+        assert ending is not None
+        return ending
 
     @property
     def success(self) -> bool:

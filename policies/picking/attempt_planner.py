@@ -1,13 +1,16 @@
 """The motions of an attempt: to the grasp, with the part to the tray, and home."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from binpick_env.cell.robot import HOME
 from binpick_env.config import CellConfig
 from perception.geometry import Floats, invert_transform, make_transform, transform_points
 from perception.part import PartModel
-from policies.grasping.gripper import GripperModel
+from policies.grasping.gripper import PAD_SIZE, GripperModel
 from policies.grasping.outcomes import Abstention, GraspCandidate
+from policies.grasping.pushes import CLOSED_GAP
 from policies.motion.ik import IkResult, IkSolver
 from policies.motion.path_checker import HeightFunction
 from policies.motion.planner import MotionPlanner, StraightLegs, Tool
@@ -17,7 +20,21 @@ from policies.picking.settings import PickerSettings
 
 _SPARSE = 8  # every eighth of the gripper's points is checked where it has room
 _OUTLINE_POINTS = 64  # vertices that stand for the carried part
+_FLOOR = 0.002  # height of the fingertips above the bin's floor at which a press ends [m]
 _LIFT_MARGIN = 0.01  # lift beyond the height at which the carried part clears the rim [m]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Press:
+    """The motions with which a push begins.
+
+    Attributes:
+        approach: Motion to above the part.
+        down: Straight way down, on which the part is met.
+    """
+
+    approach: Trajectory
+    down: Trajectory
 
 
 class AttemptPlanner:
@@ -90,6 +107,44 @@ class AttemptPlanner:
         if to_tray.trajectory is not None:
             return to_tray.trajectory
         return self._motion.plan_transfer(q_grasp, HOME, Tool(opening=grasp.width), legs).trajectory
+
+    def press(self, q_from: Floats, T_world_tips: Floats, pile: HeightFunction) -> Press | None:
+        """Plan with the jaw closed to above a point, and from there straight down; None if there is no free way.
+
+        The way down ends above the bin's floor, or where the settings say.
+
+        Args:
+            q_from: (6,) start [rad].
+            T_world_tips: (4, 4) pose of the fingertips' ends at the point, axes as those of a grasp.
+            pile: Height of the pile.
+        """
+        push = self._settings.push
+        T_world_tcp = self._gripper.tcp_from_grasp(T_world_tips[None], np.array([CLOSED_GAP]))[0]
+        T_world_above = make_transform(translation=(0, 0, push.above)) @ T_world_tcp
+        # The fingertips' broad side reaches lower than their middle where they lean.
+        lean = PAD_SIZE[0] / 2 * float(np.hypot(T_world_tips[2, 0], T_world_tips[2, 1]))
+        over_floor = float(T_world_tips[2, 3]) - self._config.bin.wall - lean - _FLOOR
+        depth = push.above + float(np.clip(over_floor, 0.0, push.depth))
+        reached = self._ik.solve_grasp(T_world_above, q_from, opening=CLOSED_GAP)
+        near = self._motion.settings.line_clearance
+        if not reached.ok or self._scene.contacts(reached.q, opening=CLOSED_GAP, clearance=near):
+            return None
+        tool = Tool(opening=CLOSED_GAP, points_tcp=self._gripper.hull_points(CLOSED_GAP))
+        legs = StraightLegs(standoff=self._settings.standoff, speed=self._settings.approach_speed)
+        approach = self._motion.plan_transfer(q_from, reached.q, tool, legs, obstacle_height=pile).trajectory
+        down = self.drag(reached.q, np.array([0.0, 0.0, -depth]), push.press_speed)
+        return None if approach is None or down is None else Press(approach=approach, down=down)
+
+    def drag(self, q_from: Floats, way_world: Floats, speed: float) -> Trajectory | None:
+        """Plan a straight way of the closed jaw that may begin and end in contact; None if there is none.
+
+        Args:
+            q_from: (6,) start [rad].
+            way_world: (3,) way of the tcp [m].
+            speed: Share of the joints' velocity limit allowed.
+        """
+        goal = make_transform(translation=way_world) @ self._ik.tcp_pose(q_from)
+        return self._motion.plan_line(q_from, goal, Tool(opening=CLOSED_GAP), escaping=True, speed=speed).trajectory
 
     def home(self, q_from: Floats) -> Trajectory | None:
         """Plan out of the bin and home with the jaw open from a (6,) posture [rad]; None if there is no free way."""

@@ -44,6 +44,14 @@ class Execution:
                 return False
         return True
 
+    def until_force(self, trajectory: Trajectory, gripper: float, force: float) -> bool:
+        """Run a trajectory until the contact force reaches ``force`` [N]; return whether it did."""
+        for q in trajectory.q[1:]:
+            self._step(q, gripper)
+            if self._env.simulation.robot_contact().force >= force:
+                return True
+        return False
+
     def place_home(self) -> bool:
         """Put the arm at home without a motion, where possible; return whether it is there. Here it never is."""
         return False

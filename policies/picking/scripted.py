@@ -13,12 +13,15 @@ from policies.grasping.failed_grasps import FailedGrasps
 from policies.grasping.grasps import sample_grasps, why_no_grasp
 from policies.grasping.gripper import gripper_model
 from policies.grasping.observed_scene import ObservedScene
-from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
+from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult, PushOutcome
+from policies.grasping.pushes import Push, find_pushes
 from policies.motion.ik import IkResult
 from policies.motion.path_checker import HeightFunction
 from policies.motion.trajectory import Trajectory
-from policies.picking.attempt_planner import AttemptPlanner
+from policies.picking.attempt_planner import AttemptPlanner, Press
 from policies.picking.execution import Execution, ExecutionSettings
+from policies.picking.extra_decisions import ExtraDecisions
+from policies.picking.pusher import Pusher
 from policies.picking.settings import PickerSettings
 
 ExecutionMaker = Callable[[BinPickEnv, ExecutionSettings], Execution]
@@ -84,6 +87,7 @@ class ScriptedPicker:
         if len(self.grasp_set) == 0:
             raise ValueError(why_no_grasp(env.part.model, jaw=jaw))
         self._planner = AttemptPlanner(env.config, env.part.model, self.gripper, self.settings)
+        self._pusher = Pusher(env, self._planner, self.gripper, self.settings)
         self.rank_stats = RankStats()
         self._warm = False
         self._last_scene: ObservedScene | None = None  # scene of the last frame that was asked for
@@ -98,19 +102,32 @@ class ScriptedPicker:
 
     def reset(self) -> None:
         """Forget the failed attempts of the last bin."""
-        self.failed = FailedGrasps(radius=self._env.part.model.d_max / 4)
+        d_max = self._env.part.model.d_max
+        self.failed = FailedGrasps(radius=d_max / 4)
+        self._extra = ExtraDecisions(radius=d_max / 2)
+        self._abstained = False  # whether the last decision was an abstention
 
     def pick(self) -> PickResult:
-        """Make one decision on the last frame: an executed attempt, or an abstention."""
+        """Make one decision on the last frame: an executed attempt, an abstention, or a push.
+
+        A push takes the place of a second abstention in a row, if the settings allow pushes.
+        """
         if not self._warm:  # a first decision compiles kernels, which is no part of a decision's time
             self._decide()
             self._warm, self._last_scene = True, None
         started = time.perf_counter()
         plan = self._decide()
+        gives_up = isinstance(plan, Abstention) and self._abstained and self.settings.push.enabled
+        push = self._plan_push() if gives_up else None
         compute = time.perf_counter() - started + self._env.perception_time
-        if isinstance(plan, Abstention):
+        self._abstained = isinstance(plan, Abstention) and push is None
+        self._extra.decided()
+        if push is not None:
+            result = self._push(*push)
+        elif isinstance(plan, Abstention):
             return PickResult(abstention=plan, t_sense=T_SENSE, t_compute=compute, frame_id=self._env.frame_id)
-        result = self.execute(plan)
+        else:
+            result = self.execute(plan)
         return replace(result, t_compute=compute + result.t_compute)
 
     # --- decision --------------------------------------------------------------------------------------------------
@@ -210,6 +227,27 @@ class ScriptedPicker:
             t_motion=env.simulation.time - began,
             frame_id=plan.frame_id,
         )
+
+    def _plan_push(self) -> tuple[Push, Press] | None:
+        """Return a push of a part that may be moved once more, with its motion; None if there is none."""
+        candidates = self._env.candidates
+        settings = self.settings
+        pushes = find_pushes(self.observed_scene(), self.grasp_set, self.gripper, settings.push, settings.rank)
+        allowed = [push for push in pushes if self._extra.allows(candidates[push.candidate].centre_world)]
+        return self._pusher.plan(allowed, self._pile_height())
+
+    def _push(self, push: Push, press: Press) -> PickResult:
+        """Make a push and name its outcome; ``t_compute`` is the time spent on planning during it."""
+        env = self._env
+        began, frame_id, candidate = env.simulation.time, env.frame_id, env.candidates[push.candidate]
+        execution = self._execution(env, self.settings.execution)
+        outcome, planning = self._pusher.execute(push, press, execution, self._go_home)
+        motion = env.simulation.time - began
+        self._extra.moved(candidate.centre_world, candidate.centre_world + push.drag_world)
+        if outcome is not PushOutcome.LEFT_BIN and isinstance(self._decide(), Plan):
+            outcome = PushOutcome.FREED
+        times = {"t_sense": T_SENSE, "t_compute": planning, "t_motion": motion}
+        return PickResult(push=outcome, part=candidate.part, frame_id=frame_id, **times)
 
     def _move(self, plan: Plan, execution: Execution, T_world_part: Floats) -> float:
         """Run the attempt until the arm is home; return the wall clock spent on planning during it [s]."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from policies.grasping.clearance import RankSettings
+from policies.grasping.pushes import PushSettings
 from policies.picking.execution import ExecutionSettings
 
 
@@ -12,6 +13,7 @@ class PickerSettings:
 
     rank: RankSettings = field(default_factory=RankSettings)  # which grasps are clear, and which come first
     execution: ExecutionSettings = field(default_factory=ExecutionSettings)  # times and forces of an attempt
+    push: PushSettings = field(default_factory=PushSettings)  # pushes of parts without a grasp
     grasps_tried: int = 40  # largest number of grasps, best first, that a decision plans for before it abstains
     standoff: float = 0.06  # length of the straight approach
     approach_speed: float = 0.25  # share of the joints' velocity limit allowed on the straight approach

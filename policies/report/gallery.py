@@ -63,7 +63,7 @@ def gallery_section(records: Sequence[BinRecord], pictures: PictureSource) -> st
 
 def kinds(pick: PickRecord) -> list[str]:
     """Return the kinds that a decision belongs to: its outcome or its reason for abstention, and how it failed."""
-    names = [str(pick.outcome or pick.abstention)]
+    names = [str(pick.ending)]
     if pick.outcome is not None and not delivered(pick):
         names.append("failed")
     if pick.failure_attribution is not None:
@@ -109,7 +109,7 @@ def colour(pick: PickRecord) -> str:
 
 def title(pick: PickRecord) -> str:
     """Return how a decision ended, in words."""
-    return words(str(pick.outcome or pick.abstention))
+    return words(str(pick.ending))
 
 
 def words(kind: str) -> str:

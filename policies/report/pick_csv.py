@@ -31,6 +31,7 @@ COLUMNS = (
     "rotation_error_deg",
     "segment_iou",
     "picture",
+    "push",
 )
 
 
@@ -76,6 +77,7 @@ def _cells(record: BinRecord, number: int, pick: PickRecord) -> list[object]:
         _scaled(rotation, 180 / np.pi),
         None if seen is None else seen.overlap,
         pick.picture or None,
+        pick.push,
     ]
 
 

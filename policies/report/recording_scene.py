@@ -124,7 +124,9 @@ class SceneLog:
         self._at(start, pick)
         stream.log("world/grasp", jaw_lines(result.grasp) if result.grasp is not None else rr.LineStrips3D([]))
         self._at(self._env.simulation.time, pick)
-        if result.outcome is None:
+        if result.push is not None:
+            text, level = f"pick {pick}: push, {result.push}", rr.TextLogLevel.INFO
+        elif result.outcome is None:
             text, level = f"pick {pick}: nothing tried, {result.abstention}", rr.TextLogLevel.WARN
         else:
             text, level = f"pick {pick}: {result.outcome}", rr.TextLogLevel.INFO

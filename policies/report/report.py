@@ -146,6 +146,8 @@ def _spread(interval: Interval | None) -> str:
 def _outcomes(summary: Summary) -> str:
     outcomes = [(n, c, "good" if n == GraspOutcome.DELIVERED else "bad") for n, c in summary.outcomes.items()]
     stages = [(f"{FAILED_AT}-{name}", count, "bad") for name, count in summary.failure_attribution.items()]
+    pushes = [(name, count, "idle") for name, count in summary.pushes.items()]
+    pushed = f"<h3>Pushes by outcome</h3>{linked_bars(pushes, sum(summary.pushes.values()))}"
     reasons = [(name, count, "idle") for name, count in summary.abstentions.items()]
     ends = [(name, count, "good" if name == "empty" else "idle") for name, count in summary.termination.items()]
     remaining = summary.parts_total - summary.delivered - summary.lost
@@ -161,6 +163,7 @@ def _outcomes(summary: Summary) -> str:
     )
     right = (
         f"<div class='card'><h3>Abstentions by reason</h3>{linked_bars(reasons, sum(summary.abstentions.values()))}"
+        f"{pushed if sum(summary.pushes.values()) else ''}"
         f"<h3>Bins by their end</h3>{bars(ends, summary.bins)}<h3>Parts</h3><p>{fate}</p>"
         f"<h3>Clutter</h3><p>{clutter}</p></div>"
     )

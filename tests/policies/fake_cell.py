@@ -20,7 +20,7 @@ from perception.part import PartModel
 from perception.pipeline import Perception
 from policies.evaluation.cell import Cell
 from policies.evaluation.config import EvaluationConfig
-from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult
+from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult, PushOutcome
 from policies.picking.episode import BinResult, Termination
 
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
@@ -99,6 +99,10 @@ def attempt(outcome: GraspOutcome, **facts: Any) -> PickResult:
 
 def abstain(reason: Abstention = Abstention.NO_CANDIDATE) -> PickResult:
     return PickResult(abstention=reason, t_sense=0.5, t_compute=0.1)
+
+
+def pushed(ending: PushOutcome = PushOutcome.MOVED) -> PickResult:
+    return PickResult(push=ending, part=1, t_sense=0.5, t_compute=0.25, t_motion=3.25)
 
 
 def bin_result(*picks: PickResult, seed: int = 1, parts: int = 10, lost: int = 0) -> BinResult:

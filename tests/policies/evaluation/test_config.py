@@ -11,6 +11,7 @@ from binpick_env.observation.oracle import PoseNoise
 from perception.segmentation import weights
 from policies.evaluation.config import EvaluationConfig, bin_seed
 from policies.evaluation.jobs import Job
+from policies.grasping.pushes import PushSettings
 from policies.picking.settings import PickerSettings
 
 CONFIG = EvaluationConfig(num_parts=(6, 6))
@@ -50,6 +51,8 @@ def test_the_digests_of_earlier_versions_are_kept() -> None:
     The last change was meant: since a jaw that holds 3 mm no longer counts as empty, bins end otherwise.
     """
     assert EvaluationConfig().digest() == "a5a32ad4ce333722"
+    pushing = PickerSettings(push=PushSettings(enabled=True))
+    assert EvaluationConfig(picker=pushing).digest() != EvaluationConfig().digest()
     config = EvaluationConfig(
         part="part_b",
         unit="mm",

@@ -12,8 +12,8 @@ from policies.evaluation.frame_record import CandidateRecord, FrameRecord
 from policies.evaluation.records import BinRecord
 from policies.evaluation.summary import Summary, summarise
 from policies.evaluation.tables import result_table
-from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
-from tests.policies.fake_cell import abstain, attempt, bin_result
+from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult, PushOutcome
+from tests.policies.fake_cell import abstain, attempt, bin_result, pushed
 
 CONFIG = EvaluationConfig()
 DELIVERED, MISSED = GraspOutcome.DELIVERED, GraspOutcome.MISSED
@@ -65,6 +65,19 @@ def test_picks_per_hour_follow_from_the_means_over_attempts(records: list[BinRec
     assert summary.motion_dph == pytest.approx(3600 * 0.75 / motion)
     low, high = summary.intervals["mpph"] or (np.nan, np.nan)
     assert low < summary.mpph < high
+
+
+def test_the_time_of_pushes_counts_and_they_are_no_attempts(records: list[BinRecord]) -> None:
+    without = summary_of(records)
+    summary = summary_of([*records, record(2, abstain(), pushed(), pushed(PushOutcome.FREED))])
+    assert (summary.attempts, summary.gsr, summary.time) == (without.attempts, without.gsr, without.time)
+    assert {name: count for name, count in summary.pushes.items() if count} == {"freed": 1, "moved": 1}
+    assert set(summary.pushes) == {str(kind) for kind in PushOutcome}
+    assert without.mpph is not None
+    seconds = 3600 * 3 / without.mpph
+    assert summary.mpph == pytest.approx(3600 * 3 / (seconds + 2 * 4.0))
+    assert "pushes by outcome" in result_table(summary)
+    assert "pushes" not in result_table(without)
 
 
 def test_wall_clock_leaves_the_drop_out_of_an_attempt(records: list[BinRecord]) -> None:

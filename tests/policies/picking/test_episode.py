@@ -2,9 +2,9 @@ from typing import Any
 
 import pytest
 
-from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
+from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult, PushOutcome
 from policies.picking.episode import BinResult, Termination, run_bin
-from tests.policies.fake_cell import FakeEnv, ScriptPicker, abstain, attempt
+from tests.policies.fake_cell import FakeEnv, ScriptPicker, abstain, attempt, pushed
 
 DELIVERED, MISSED, DROPPED = GraspOutcome.DELIVERED, GraspOutcome.MISSED, GraspOutcome.DROPPED
 
@@ -43,6 +43,21 @@ def test_a_new_frame_follows_one_abstention_and_a_second_ends_the_bin() -> None:
     assert env.extra_frames == env.likely_frames == 2  # not after the last
     assert [pick.abstention is not None for pick in result.picks] == [True, False, True, True]
     assert len(result.attempts) == 1
+
+
+def test_a_push_neither_counts_as_a_failure_nor_parts_two() -> None:
+    result, _, _ = play(attempt(MISSED), abstain(), pushed(), attempt(MISSED))
+    assert result.termination is Termination.TWO_FAILURES
+    assert len(result.attempts) == 2
+    result, _, _ = play(attempt(MISSED), pushed(), pushed(), abstain(), abstain())
+    assert result.termination is Termination.ABSTAINED
+
+
+def test_after_a_push_two_abstentions_end_a_bin() -> None:
+    result, env, _ = play(abstain(), pushed(), abstain(), pushed(), attempt(DELIVERED), abstain(), abstain())
+    assert result.termination is Termination.ABSTAINED
+    assert len(result.picks) == 7
+    assert env.likely_frames == 3  # after each abstention but the last
 
 
 def test_an_emptied_bin_ends() -> None:
@@ -85,7 +100,15 @@ def test_clutter_is_that_of_the_settled_bin() -> None:
     assert result.clutter.median == pytest.approx(0.55)
 
 
-@pytest.mark.parametrize("both", [{}, {"outcome": MISSED, "abstention": Abstention.NO_CANDIDATE}])
+@pytest.mark.parametrize(
+    "both",
+    [
+        {},
+        {"outcome": MISSED, "abstention": Abstention.NO_CANDIDATE},
+        {"outcome": MISSED, "push": PushOutcome.MOVED},
+        {"abstention": Abstention.NO_CANDIDATE, "push": PushOutcome.MOVED},
+    ],
+)
 def test_a_decision_is_either_an_attempt_or_an_abstention(both: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="either an outcome or an abstention"):
         PickResult(**both)

@@ -100,6 +100,14 @@ def test_the_guard_lets_the_stop_force_itself_pass() -> None:
     )
 
 
+@pytest.mark.parametrize(("force", "steps", "felt"), [(9.9, 5, False), (10.0, 3, True)])
+def test_a_motion_until_a_force_ends_where_it_is_felt(force: float, steps: int, felt: bool) -> None:
+    env = NoteEnv(force=lambda n: force if n == 3 else 0.0)
+    assert execution(env).until_force(trajectory(), 0.9, 10.0) is felt
+    assert len(env.actions) == steps
+    assert np.all(sent(env)[:, 6] == np.float32(0.9))
+
+
 def test_closing_ends_when_the_jaw_rests_and_not_before_it_has_set_off() -> None:
     rests = NoteEnv(jaw=lambda n: min(0.1 * n, 0.6))
     execution(rests).close()

@@ -21,7 +21,7 @@ from policies.grasping.outcomes import GraspOutcome, PickResult
 from policies.report.picture_source import PictureSource
 from policies.report.report import write_report
 from tests.policies.evaluation.test_undelivered import LEFT, LOST
-from tests.policies.fake_cell import abstain, attempt, bin_result, candidate, labelled_capture
+from tests.policies.fake_cell import abstain, attempt, bin_result, candidate, labelled_capture, pushed
 
 CONFIG = EvaluationConfig(part="odd <&> name.stl")
 MISSED, DELIVERED = GraspOutcome.MISSED, GraspOutcome.DELIVERED
@@ -201,6 +201,15 @@ def test_lost_and_left_parts_are_on_the_map_with_their_reasons(report: Callable[
     assert "aria-label='Map of the bin from above: 1 parts left, 1 lost'" in text
     assert "Not recorded by the version that picked bins 0" in report(attempt(MISSED))
     assert "None: every part was delivered." in report(attempt(MISSED), undelivered=())
+
+
+def test_pushes_are_counted_and_shown_among_the_decisions(report: Callable[..., str]) -> None:
+    text = report(attempt(DELIVERED), pushed())
+    assert "Pushes by outcome" in text
+    assert "href='#only-moved'" in text
+    assert "<figure id='bin-0-pick-1' class='is-moved'>" in text
+    Page(text)
+    assert "Pushes by outcome" not in report(attempt(DELIVERED))
 
 
 def test_the_csv_in_the_page_has_a_line_for_each_decision(report: Callable[..., str]) -> None:

@@ -1,0 +1,223 @@
+"""Pushes: closed fingertips press on a part from above and drag it to where there is room for a grasp."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from perception.geometry import Floats, make_transform, rotation_about, transform_points
+from policies.grasping.clearance import RankSettings, clear_among, clearances
+from policies.grasping.grasps import GraspSet
+from policies.grasping.gripper import PAD_SIZE, GripperModel
+from policies.grasping.heightmap import HeightMap
+from policies.grasping.observed_scene import ObservedScene
+
+CLOSED_GAP = 0.001  # distance between the pads during a push [m]
+_TIPS = (PAD_SIZE[0] / 2, PAD_SIZE[1])  # half the extent of the closed fingertips across and along the closing [m]
+_TOUCHED = 0.002  # depth below the highest point under the fingertips within which the part is touched [m]
+_STEP = 0.01  # distance between the places along a push at which room is measured [m]
+_DIRECTIONS = 16  # directions that are tried
+_YAWS = 4  # orientations of the fingertips that are tried, over half a turn
+_TILTS = (0.0, 0.35, 0.7)  # leans of the gripper that are tried [rad]
+_STEPPED_OVER = 0.004  # height above a part's lowest point up to which others are no obstacle for it [m]
+_ENOUGH = 8  # number of clear grasps from which more are not worth a longer way
+_WAYS = 4  # ways of a part that are tried
+_POINTS = 12  # places on a part that are tried
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushSettings:
+    """Whether and how parts without a grasp are pushed. Lengths [m], forces [N]."""
+
+    enabled: bool = False  # whether a part is pushed before the picker gives a bin up
+    travel: float = 0.10  # longest way that the fingertips drag a part
+    room: float = 0.05  # room around the part from which more is not worth a longer way
+    least_gain: float = 0.006  # smallest gain of room for which a push is made
+    margin: float = 0.003  # smallest height of the gripper above everything but the part
+    press_speed: float = 0.02  # share of the joints' velocity limit allowed on the way down, until the part is felt
+    drag_speed: float = 0.08  # the same while the part is dragged
+    press_on: float = 0.001  # depth that the fingertips are told to gain while they drag, so that they keep touching
+    press_force: float = 20.0  # contact force at which the way down ends and the drag begins
+    stop_force: float = 100.0  # contact force at which the push is broken off
+    above: float = 0.006  # height above the part from which it is felt for
+    depth: float = 0.025  # longest way down from where the part was observed; a leaning part gives way
+
+    def __post_init__(self) -> None:
+        for name in ("travel", "room", "margin", "press_force", "stop_force", "above", "depth"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Push:
+    """A push of one observed part.
+
+    Attributes:
+        T_world_tips: (4, 4) frame of the closed fingertips' ends on the part, axes as those of a grasp.
+        drag_world: (3,) way of the fingertips while they press [m].
+        candidate: Row of the pose candidate.
+        score: Larger is tried first.
+    """
+
+    T_world_tips: Floats
+    drag_world: Floats
+    candidate: int
+    score: float
+
+
+def find_pushes(
+    scene: ObservedScene,
+    grasps: GraspSet,
+    gripper: GripperModel,
+    settings: PushSettings | None = None,
+    rank: RankSettings | None = None,
+) -> list[Push]:
+    """Return the pushes after which a grasp on an observed part should be clear, best first.
+
+    A part is pressed where it is the highest thing under the fingertips, and dragged straight to where a grasp is clear
+    if the part moves as the fingertips do, or else to where the distance from its outline to the walls and to
+    everything that stands higher than its lowest point is larger. The gripper stays clear of everything else, at the
+    beginning and on the way.
+
+    Args:
+        scene: Observed parts with their surroundings.
+        grasps: Grasps on this kind of part.
+        gripper: Points on the gripper's surfaces.
+        settings: Limits; the defaults if None.
+        rank: Which grasps are clear; the defaults if None.
+
+    Note:
+        Some 50 ms for each part.
+    """
+    settings, rank = settings or PushSettings(), rank or RankSettings()
+    found = [
+        push for row in range(len(scene.candidates)) for push in _of_part(scene, row, grasps, gripper, settings, rank)
+    ]
+    return sorted(found, key=lambda push: -push.score)
+
+
+def _of_part(
+    scene: ObservedScene,
+    row: int,
+    grasps: GraspSet,
+    gripper: GripperModel,
+    settings: PushSettings,
+    rank: RankSettings,
+) -> Iterator[Push]:
+    heights, candidate = scene.heights, scene.candidates[row]
+    own = heights.rasterise(grasps.surface, candidate.T_world_part)
+    if not np.isfinite(own).any():
+        return
+    lowest = float(transform_points(heights.T_bin_world @ candidate.T_world_part, grasps.surface)[:, 2].min())
+    surroundings = scene.parts[row].surroundings
+    places = _places(own, surroundings, settings)
+    if not places:
+        return
+    R_world_bin = heights.T_bin_world[:3, :3].T
+    ways = []
+    for way_bin, gain in _ways(own, surroundings, lowest, settings):
+        way_world = R_world_bin @ np.append(way_bin, 0.0)
+        moved = make_transform(translation=way_world) @ candidate.T_world_part
+        clear = int(clear_among(surroundings, moved, grasps, gripper, rank).sum())
+        ways.append((way_bin, way_world, min(clear, _ENOUGH) / _ENOUGH + 0.5 * gain - 2 * np.linalg.norm(way_bin)))
+    ways = sorted(ways, key=lambda way: -way[2])[:_WAYS]
+    for i, j, worth in places:
+        centre_bin = np.append(heights.origin + heights.cell * (np.array([i, j]) + 0.5), own[i, j])
+        for way_bin, way_world, gain in ways:
+            for T_world_tips, tilt in _clear_tips(scene, row, centre_bin, way_bin, gripper, settings):
+                score = gain + worth - 0.5 * tilt
+                drag_world = way_world - np.array([0.0, 0.0, settings.press_on])
+                yield Push(T_world_tips=T_world_tips, drag_world=drag_world, candidate=row, score=score)
+
+
+def _ways(
+    own: Floats, surroundings: HeightMap, lowest: float, settings: PushSettings
+) -> Iterator[tuple[Floats, float]]:
+    """Yield (2,) ways in the bin frame [m] that are free and give room, with the gain of room over the wanted room."""
+    cell, inner = surroundings.cell, surroundings.inner
+    free = np.zeros(surroundings.heights.shape, np.uint8)
+    covered = np.argwhere(np.isfinite(own))
+    free[covered[:, 0], covered[:, 1]] = 1  # what seems to stand where the part lies is its own edge
+    free[inner] |= surroundings.heights[inner] < lowest + _STEPPED_OVER
+    outside = np.ones(free.shape, np.bool_)
+    outside[inner] = False
+    free[outside] = 0
+    distance = cell * cv2.distanceTransform(np.pad(free, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    before = float(distance[covered[:, 0], covered[:, 1]].min())
+    for angle in 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+        direction = np.array([np.cos(angle), np.sin(angle)])
+        for step in np.arange(_STEP, settings.travel + 1e-9, _STEP):
+            moved = covered + np.round(step * direction / cell).astype(int)
+            if np.any(moved < 0) or np.any(moved >= free.shape):
+                break
+            after = float(distance[moved[:, 0], moved[:, 1]].min())
+            if after <= 0:
+                break
+            if after - before >= settings.least_gain:
+                yield step * direction, (min(after, settings.room) - before) / settings.room
+
+
+def _places(own: Floats, surroundings: HeightMap, settings: PushSettings) -> list[tuple[int, int, float]]:
+    """Return cells where the part is the highest thing under the fingertips, with a score of each, best first.
+
+    The score falls with the distance from the part's middle and grows with the share of the fingertips' ends that
+    touches the part.
+    """
+    cell = surroundings.cell
+    radius = int(np.ceil(max(_TIPS) / cell))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    highest = cv2.dilate(own, disc)
+    others = cv2.dilate(surroundings.heights, disc)
+    known = np.isfinite(own)
+    usable = known & (own >= highest - _TOUCHED) & (highest > others + settings.margin)
+    usable[: surroundings.inner[0].start + radius] = usable[surroundings.inner[0].stop - radius :] = False
+    usable[:, : surroundings.inner[1].start + radius] = usable[:, surroundings.inner[1].stop - radius :] = False
+    cells = np.argwhere(usable)
+    if len(cells) == 0:
+        return []
+    middle = np.argwhere(known).mean(axis=0)
+    extent = np.linalg.norm(np.argwhere(known) - middle, axis=1).max()
+    share = np.empty(len(cells))
+    for k, (i, j) in enumerate(cells):
+        under = own[i - radius : i + radius + 1, j - radius : j + radius + 1][disc.astype(bool)]
+        share[k] = float((under >= highest[i, j] - _TOUCHED).mean())
+    score = share - np.linalg.norm(cells - middle, axis=1) / max(extent, 1.0)
+    chosen: list[tuple[int, int, float]] = []
+    for k in np.argsort(-score, kind="stable"):
+        i, j = (int(n) for n in cells[k])
+        if all(np.hypot(i - a, j - b) * cell > 0.008 for a, b, _ in chosen):
+            chosen.append((i, j, float(score[k])))
+        if len(chosen) == _POINTS:
+            break
+    return chosen
+
+
+def _clear_tips(
+    scene: ObservedScene, row: int, centre_bin: Floats, way_bin: Floats, gripper: GripperModel, settings: PushSettings
+) -> Iterator[tuple[Floats, float]]:
+    """Yield (4, 4) poses of the fingertips at a place from which they can go a way, with their tilts [rad].
+
+    The gripper leans towards where it goes, which is away from the wall.
+    """
+    surroundings = scene.parts[row].surroundings
+    T_world_bin = scene.workspace.T_world_bin
+    steps = np.linspace(0.0, 1.0, 4)
+    along = np.arctan2(way_bin[1], way_bin[0])
+    across = np.array([-np.sin(along), np.cos(along), 0.0])
+    for tilt in _TILTS:
+        lean = rotation_about(across, tilt)
+        for yaw in along + np.pi * np.arange(_YAWS) / _YAWS:
+            c, s = np.cos(yaw), np.sin(yaw)
+            R_bin_tips = lean @ np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
+            moved = np.stack(
+                [
+                    T_world_bin @ make_transform(R_bin_tips, centre_bin + np.append(way_bin, 0.0) * step)
+                    for step in steps
+                ]
+            )
+            gap = np.full(len(moved), CLOSED_GAP)
+            room = clearances(surroundings, gripper.tcp_from_grasp(moved, gap), gap, gripper)
+            if room.min() >= settings.margin:
+                yield moved[0], tilt
+                break

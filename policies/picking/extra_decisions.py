@@ -1,0 +1,51 @@
+"""How often parts may be put back or pushed in a bin."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from perception.geometry import Floats
+
+PER_PART = 2  # largest number of extra decisions for a part
+SHARE = 0.2  # largest share of a bin's decisions that may be extra ones
+
+
+@dataclass(eq=False, kw_only=True)
+class ExtraDecisions:
+    """Counts the decisions of one bin, and among them those that move a part without delivering it.
+
+    Parts are not tracked from frame to frame: places identify them. The count of a part goes on where it was moved to.
+
+    Attributes:
+        radius: Distance between two places under which they belong to the same part [m].
+        decisions: Number of decisions made.
+        extra: Number of decisions among them that moved a part without delivering it.
+    """
+
+    radius: float
+    decisions: int = 0
+    extra: int = 0
+    _moved: list[tuple[Floats, int]] = field(default_factory=list)
+
+    def decided(self) -> None:
+        """Count a decision."""
+        self.decisions += 1
+
+    def allows(self, centre_world: Floats, expected: int = 0) -> bool:
+        """Tell whether the part at a (3,) place may be moved once more, by the next decision.
+
+        Args:
+            centre_world: Place of the part [m].
+            expected: Number of decisions that are still to come in any case, beside the next one.
+        """
+        share = (self.extra + 1) <= SHARE * (self.decisions + 1 + expected) + 1e-9
+        return share and self._times(centre_world) < PER_PART
+
+    def moved(self, centre_world: Floats, to_world: Floats) -> None:
+        """Note that the last decision moved the part at a (3,) place to another one [m]."""
+        self.extra += 1
+        self._moved.append((np.asarray(to_world), self._times(centre_world) + 1))
+
+    def _times(self, centre_world: Floats) -> int:
+        near = [times for place, times in self._moved if np.linalg.norm(place - centre_world) < self.radius]
+        return max(near, default=0)
