@@ -21,6 +21,7 @@ from perception.bin import Trust
 from perception.runtime.records import RecordError
 from perception.segmentation.choices import NetworkName
 from policies.grasping.pushes import PushSettings
+from policies.picking.load_check import DoubleSettings
 from policies.picking.settings import PickerSettings
 
 _log = logging.getLogger(__name__)
@@ -67,8 +68,9 @@ class EvaluationConfig:
         for name in _NEWER_FIELDS:
             if values[name] is None:
                 del values[name]
-        if values["picker"]["push"] == asdict(PushSettings()):  # nor had older runs pushes, which are off by default
-            del values["picker"]["push"]
+        for name, off in (("push", PushSettings()), ("doubles", DoubleSettings())):
+            if values["picker"][name] == asdict(off):  # nor had older runs what is off by default
+                del values["picker"][name]
         if self.network == "grid":  # nor do older runs know other networks
             del values["network"]
         path = Path(self.part)

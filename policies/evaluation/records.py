@@ -13,7 +13,7 @@ from perception.runtime.records import RecordError, RecordFormat
 from policies.evaluation.failure_attribution import FailureStage, attribute_failure
 from policies.evaluation.frame_record import CandidateRecord, FrameRecord
 from policies.evaluation.undelivered import UndeliveredPart
-from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult, PushOutcome
+from policies.grasping.outcomes import Abstention, DoubleCheck, GraspOutcome, PickResult, PushOutcome
 from policies.picking.episode import BinResult, Termination
 
 PICTURES = (".jpg", ".webp", ".png")  # kinds of pictures of a record
@@ -42,6 +42,7 @@ class PickRecord:
             is no record of its frame.
         picture: File name of the picture of the decision, beside the record; "" if there is none.
         push: How the push ended; None if there was none.
+        double_check: What was measured of the load after the lift; None if nothing was lifted.
     """
 
     outcome: GraspOutcome | None
@@ -60,6 +61,7 @@ class PickRecord:
     failure_attribution: FailureStage | None = None
     picture: str = ""
     push: PushOutcome | None = None
+    double_check: DoubleCheck | None = None
 
     @property
     def ending(self) -> GraspOutcome | Abstention | PushOutcome | None:
@@ -97,6 +99,7 @@ class PickRecord:
             failure_attribution=failed_at,
             picture=picture,
             push=result.push,
+            double_check=result.double_check,
         )
 
 
@@ -256,4 +259,5 @@ def _pick(values: dict[str, Any]) -> PickRecord:
     }
     values = {"push": None} | values  # records of earlier versions have none
     words = {name: None if values[name] is None else kind(values[name]) for name, kind in kinds.items()}
-    return PickRecord(**{**values, **words})
+    check = values.get("double_check")
+    return PickRecord(**{**values, **words, "double_check": None if check is None else DoubleCheck(**check)})

@@ -12,6 +12,7 @@ from binpick_env.scenes.clutter import pooled_clutter
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, versions
 from policies.evaluation.config import EvaluationConfig
+from policies.evaluation.double_summary import summarise_doubles
 from policies.evaluation.failure_attribution import FailureStage
 from policies.evaluation.frame_summary import over_bins, summarise_frames
 from policies.evaluation.records import BinRecord
@@ -40,6 +41,8 @@ class Summary:
         termination: Number of bins, by the reason why they ended.
         outcomes: Number of attempts, by how they ended.
         pushes: Number of pushes, by how they ended. Their time counts in mpph and motion_dph.
+        doubles: Number of ``lifts`` with a part and of ``doubles`` among them, and what the detectors ``jaw`` and
+            ``weight``, and ``either`` of them, said: ``detected``, ``missed`` and ``false_alarms``.
         time: Means over attempts [s]: sense (nominal), compute (wall clock, one core), motion (simulated).
         wall: Wall clock without listeners such as pictures: mean of an attempt without the drop [s], mean of a bin
             with the drop [s], and the share of the whole in which frames were rendered.
@@ -89,6 +92,7 @@ class Summary:
     termination: dict[str, int]
     outcomes: dict[str, int]
     pushes: dict[str, int] = field(default_factory=dict)
+    doubles: dict[str, int | dict[str, int]] = field(default_factory=dict)
     time: dict[str, float | None]
     wall: dict[str, float | None]
     ap: float | None = None
@@ -183,6 +187,7 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
         termination=_count(Termination, [record.termination for record in records]),
         outcomes=_count(GraspOutcome, [pick.outcome for pick in attempts]),
         pushes=_count(PushOutcome, pushes),
+        doubles=summarise_doubles(pick.double_check for pick in attempts if pick.double_check is not None),
         time={name: _mean(times[:, k]) for k, name in enumerate(("sense", "compute", "motion"))},
         wall=_wall(records, len(attempts)),
         ap=perception.ap["ap"],

@@ -1,6 +1,6 @@
 """An evaluation's numbers as plain text, for the terminal."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from policies.evaluation.statistics import Interval
 from policies.evaluation.summary import Summary
 
 _BAR = 24
+_NAME = 28  # width of the first column
 
 
 def result_table(summary: Summary) -> str:
@@ -34,6 +35,7 @@ def result_table(summary: Summary) -> str:
     lines += _counts("attempts by outcome", summary.outcomes, summary.attempts)
     lines += _counts("failed attempts by stage", summary.failure_attribution, summary.failures)
     lines += _counts("abstentions by reason", summary.abstentions, sum(summary.abstentions.values()))
+    lines += _doubles(summary.doubles)
     if sum(summary.pushes.values()):
         lines += _counts("pushes by outcome", summary.pushes, sum(summary.pushes.values()))
     lines += _counts("bins by their end", summary.termination, summary.bins)
@@ -41,6 +43,18 @@ def result_table(summary: Summary) -> str:
     if len(summary.git_commits) > 1:
         lines.append(f"NOTE  bins of {len(summary.git_commits)} different commits: {', '.join(summary.git_commits)}")
     return "\n".join(lines)
+
+
+def _doubles(doubles: Mapping[str, int | dict[str, int]]) -> list[str]:
+    """Return what the detectors of more than one part in the jaw said, one line each; none where nothing was lifted."""
+    if not doubles.get("lifts"):
+        return []
+    lines = [f"{'more than one part lifted':<{_NAME}}{doubles['doubles']} of {doubles['lifts']} lifts"]
+    for name, counts in doubles.items():
+        if isinstance(counts, dict):
+            words = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in counts.items())
+            lines.append(f"  {'found by the ' + name if name != 'either' else 'found by either':<{_NAME - 2}}{words}")
+    return lines
 
 
 def found_note(found: Sequence[BinRecord], bins: int, commit: str) -> str:
@@ -133,11 +147,11 @@ def _times(summary: Summary) -> list[str]:
 def _counts(title: str, counts: dict[str, int], total: int) -> list[str]:
     shown = [(name, count) for name, count in counts.items() if count]
     if not shown:
-        return [f"{title:<28}none"]
+        return [f"{title:<{_NAME}}none"]
     lines = []
     for k, (name, count) in enumerate(shown):
         bar = "█" * max(1, round(_BAR * count / total))
-        lines.append(f"{title if k == 0 else '':<28}{name:<20}{count:>5}  {bar}")
+        lines.append(f"{title if k == 0 else '':<{_NAME}}{name:<20}{count:>5}  {bar}")
     return lines
 
 

@@ -16,6 +16,7 @@ class _Failure:
 
     centre_world: Floats  # (3,) centre of the part [m]
     T_world_grasp: Floats  # (4, 4) grasp frame
+    radius: float  # distance within which a part's centre is that of this part [m]
 
 
 @dataclass(eq=False, kw_only=True)
@@ -29,13 +30,20 @@ class FailedGrasps:
     radius: float
     _failures: list[_Failure] = field(default_factory=list)
 
-    def add(self, centre_world: Floats, T_world_grasp: Floats) -> None:
-        """Remember a (4, 4) grasp that failed on the part with a (3,) centre."""
-        self._failures.append(_Failure(centre_world=centre_world, T_world_grasp=T_world_grasp))
+    def add(self, centre_world: Floats, T_world_grasp: Floats, radius: float | None = None) -> None:
+        """Remember a (4, 4) grasp that failed on the part with a (3,) centre.
+
+        Args:
+            centre_world: Centre of the part [m].
+            T_world_grasp: The grasp.
+            radius: Distance within which parts are suspect afterwards [m]; ``self.radius`` if None.
+        """
+        within = self.radius if radius is None else radius
+        self._failures.append(_Failure(centre_world=centre_world, T_world_grasp=T_world_grasp, radius=within))
 
     def suspect(self, centre_world: Floats) -> bool:
         """Return whether an attempt failed on the part with a (3,) centre."""
-        return any(bool(np.linalg.norm(centre_world - f.centre_world) < self.radius) for f in self._failures)
+        return any(bool(np.linalg.norm(centre_world - f.centre_world) < f.radius) for f in self._failures)
 
     def without_failed(
         self, ranked: Sequence[GraspCandidate], candidates: Sequence[PoseCandidate]

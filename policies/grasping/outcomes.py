@@ -82,6 +82,25 @@ class GraspCandidate:
     features: dict[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, kw_only=True)
+class DoubleCheck:
+    """What was measured of the load after the lift, to tell one part from more.
+
+    Attributes:
+        jaw_excess: Distance between the pads beyond that of the grasp [m].
+        load: Weight that the wrist feels over the weight of one part.
+        jaw: Whether the jaw says that there is more than one part.
+        weight: Whether the weight says so.
+        held: True number of parts that came along (for reports; a policy never reads it).
+    """
+
+    jaw_excess: float
+    load: float
+    jaw: bool
+    weight: bool
+    held: int
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PickResult:
     """One decision of a picker: an executed attempt, an abstention, or a push. One of the first three is not None.
@@ -97,6 +116,7 @@ class PickResult:
         t_compute: Wall clock of perception and planning [s].
         t_motion: Simulated time of the motion [s].
         frame_id: Number of the frame that the decision was made on.
+        double_check: What was measured of the load after the lift; None if nothing was lifted.
     """
 
     outcome: GraspOutcome | None = None
@@ -109,6 +129,7 @@ class PickResult:
     t_compute: float = 0.0
     t_motion: float = 0.0
     frame_id: int = -1
+    double_check: DoubleCheck | None = None
 
     def __post_init__(self) -> None:
         if [self.outcome, self.abstention, self.push].count(None) != 2:

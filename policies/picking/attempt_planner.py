@@ -25,6 +25,21 @@ _LIFT_MARGIN = 0.01  # lift beyond the height at which the carried part clears t
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class PutBack:
+    """The motions that put a load back into the bin.
+
+    Attributes:
+        across: Motion to over the place.
+        down: Straight way down to where the load is released, or as far as it rests on something.
+        place_world: (3,) place of the load's middle at the end [m].
+    """
+
+    across: Trajectory
+    down: Trajectory
+    place_world: Floats
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Press:
     """The motions with which a push begins.
 
@@ -96,9 +111,7 @@ class AttemptPlanner:
             T_world_part: (4, 4) pose of the part before the lift.
             pile: Height of the pile.
         """
-        part_tcp = transform_points(invert_transform(self._ik.tcp_pose(q_grasp)) @ T_world_part, self._outline)
-        jaw_tcp = self._gripper.hull_points(grasp.width)[::_SPARSE]
-        tool = Tool(opening=grasp.width, points_tcp=np.vstack([part_tcp, jaw_tcp]))
+        part_tcp, tool = self._load(q_grasp, grasp, T_world_part)
         legs = StraightLegs(lift=self._motion.clearing_lift(q_grasp, tool) + _LIFT_MARGIN)
         q_release = self._release_posture(part_tcp)
         to_tray = self._motion.plan_transfer(
@@ -107,6 +120,48 @@ class AttemptPlanner:
         if to_tray.trajectory is not None:
             return to_tray.trajectory
         return self._motion.plan_transfer(q_grasp, HOME, Tool(opening=grasp.width), legs).trajectory
+
+    def put_back(
+        self,
+        q_from: Floats,
+        q_grasp: Floats,
+        grasp: GraspCandidate,
+        T_world_part: Floats,
+        pile: HeightFunction,
+        places_world: Floats,
+    ) -> PutBack | None:
+        """Plan with the load to over the first place that can be reached, and straight down; None if there is none.
+
+        Args:
+            q_from: (6,) start, with the load above the rim [rad].
+            q_grasp: (6,) posture at the grasp [rad].
+            grasp: The grasp.
+            T_world_part: (4, 4) pose of the part before the lift.
+            pile: Height of the pile.
+            places_world: (K, 2) places in the bin, best first [m].
+        """
+        part_tcp, tool = self._load(q_grasp, grasp, T_world_part)
+        T_world_tcp = self._ik.tcp_pose(q_from)
+        middle = T_world_tcp[:3, :3] @ part_tcp.mean(axis=0)
+        points = tool.points_tcp @ T_world_tcp[:3, :3].T
+        lift = self._motion.clearing_lift(q_from, tool) + _LIFT_MARGIN
+        height = float(T_world_tcp[2, 3]) + lift
+        for x, y in places_world:
+            over = make_transform(T_world_tcp[:3, :3], (x, y, height))
+            beside = points + np.array([x, y, 0.0])
+            release = float((pile(beside) - points[:, 2]).max()) + self._settings.doubles.drop
+            reached = self._ik.solve(over, q_from, opening=grasp.width)
+            if not reached.ok or release > height:
+                continue
+            legs = StraightLegs(lift=lift)
+            scale = self._settings.doubles.scale
+            across = self._motion.plan_transfer(q_from, reached.q, tool, legs, obstacle_height=pile, scale=scale)
+            lowered = make_transform(T_world_tcp[:3, :3], (x, y, release))
+            down = self._motion.plan_line(reached.q, lowered, tool, speed=self._settings.approach_speed, scale=scale)
+            if across.trajectory is not None and down.trajectory is not None:
+                place = np.array([x, y, release - self._settings.doubles.drop]) + middle
+                return PutBack(across=across.trajectory, down=down.trajectory, place_world=place)
+        return None
 
     def press(self, q_from: Floats, T_world_tips: Floats, pile: HeightFunction) -> Press | None:
         """Plan with the jaw closed to above a point, and from there straight down; None if there is no free way.
@@ -151,6 +206,12 @@ class AttemptPlanner:
         tool = Tool(points_tcp=self._gripper.hull_points(0.0)[::_SPARSE])
         legs = StraightLegs(lift=self._motion.clearing_lift(q_from, tool))
         return self._motion.plan_transfer(q_from, HOME, tool, legs).trajectory
+
+    def _load(self, q_grasp: Floats, grasp: GraspCandidate, T_world_part: Floats) -> tuple[Floats, Tool]:
+        """Return the (P, 3) points of the carried part in the tcp frame [m], and the jaw with them."""
+        part_tcp = transform_points(invert_transform(self._ik.tcp_pose(q_grasp)) @ T_world_part, self._outline)
+        jaw_tcp = self._gripper.hull_points(grasp.width)[::_SPARSE]
+        return part_tcp, Tool(opening=grasp.width, points_tcp=np.vstack([part_tcp, jaw_tcp]))
 
     def _release_posture(self, part_tcp: Floats) -> Floats:
         """Return the (6,) posture over the tray in which (P, 3) points of the carried part hang lowest; else home."""

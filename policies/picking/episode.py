@@ -8,7 +8,7 @@ from typing import Protocol
 from binpick_env.cell.delivery import Delivery
 from binpick_env.env import BinPickEnv
 from binpick_env.scenes.clutter import ClutterStats
-from policies.grasping.outcomes import PickResult
+from policies.grasping.outcomes import GraspOutcome, PickResult
 
 
 class Termination(StrEnum):
@@ -109,7 +109,7 @@ def _ended(env: BinPickEnv, picks: list[PickResult], max_failures: int | None) -
     last = picks[-2:]
     if len(last) == 2 and all(pick.abstention is not None for pick in last):
         return Termination.ABSTAINED
-    attempts = [pick for pick in picks if pick.outcome is not None]
+    attempts = [pick for pick in picks if pick.outcome not in (None, GraspOutcome.PUT_BACK)]
     failing = max_failures is not None and len(attempts) >= max_failures
     if failing and not any(pick.success for pick in attempts[-max_failures:]):  # type: ignore[operator]
         return Termination.TWO_FAILURES

@@ -11,6 +11,9 @@ from binpick_env.env import BinPickEnv
 from perception.geometry import Floats
 from policies.grasping.outcomes import GraspOutcome
 from policies.motion.trajectory import Trajectory
+from policies.picking.load_check import LoadCheck
+
+_BRAKING = 10  # control steps in which a motion is brought to rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +36,8 @@ class Execution:
         self._env = env
         self._settings = settings
         self._commanded: list[Floats] = []  # (6,) joint targets so far, for the way back [rad]
-        self._collided = False
+        self._collided = self._put_back = False
+        self.double = False  # whether the carry ended because more than one part was found in the jaw
         self._held: dict[str, bool] = {}  # whether both pads touched a part when closed, lifted and carried
 
     def follow(self, trajectory: Trajectory, gripper: float, *, guard: bool = False) -> bool:
@@ -56,24 +60,52 @@ class Execution:
         """Put the arm at home without a motion, where possible; return whether it is there. Here it never is."""
         return False
 
-    def carry(self, trajectory: Trajectory, empty: float) -> bool:
+    def carry(
+        self, trajectory: Trajectory, empty: float, check: LoadCheck | None = None, *, stop: bool = False
+    ) -> bool:
         """Lift and carry with the jaw closing; stop and return False if the jaw is empty after the lift.
 
         Args:
             trajectory: Motion whose first mark is the end of the lift.
             empty: Gripper position from which the jaw holds nothing, in [0, 1].
+            check: Measures the load during the lift; None for no measurement.
+            stop: Whether the motion also stops where the check finds more than one part; ``double`` is then True.
         """
         lifted = trajectory.marks[0]
         for k, q in enumerate(trajectory.q[1:], start=1):
             self._step(q, 1.0)
+            if check is not None and k <= lifted:
+                check.feel()
             if k == lifted:
                 self._held["lifted"] = bool(self._env.simulation.gripped())
                 if self._env.simulation.gripper_position >= empty:
+                    return False
+                if check is not None and check.decide() and stop:
+                    self.double = True
+                    self._brake(trajectory, k)
                     return False
             if k >= lifted and self._carry_kinematically(trajectory, k):
                 break
         self._held["carried"] = bool(self._env.simulation.gripped())
         return True
+
+    def put_down(self, trajectory: Trajectory | None, check: LoadCheck) -> None:
+        """Lower the load until most of its weight is gone or the trajectory, if any, ends; then let go of it."""
+        for q in [] if trajectory is None else trajectory.q[1:]:
+            self._step(q, 1.0)
+            check.feel()
+            if check.lightened():
+                break
+        self.release()
+        self._put_back = True
+
+    def _brake(self, trajectory: Trajectory, k: int) -> None:
+        """Come to rest along the trajectory from its sample ``k`` on."""
+        at, last = float(k), len(trajectory.q) - 1
+        for n in range(_BRAKING):
+            at = min(at + 1.0 - (n + 1) / _BRAKING, float(last))
+            low = min(int(at), last - 1)
+            self._step(trajectory.q[low] + (at - low) * (trajectory.q[low + 1] - trajectory.q[low]), 1.0)
 
     def close(self) -> None:
         """Close the jaw and wait until it is at rest."""
@@ -111,6 +143,8 @@ class Execution:
             return GraspOutcome.DOUBLE
         if Delivery.LEFT_BIN in kinds:
             return GraspOutcome.LEFT_BIN
+        if self._put_back:
+            return GraspOutcome.PUT_BACK
         if self._collided:
             return GraspOutcome.COLLIDED
         if not self._held.get("closed", False):

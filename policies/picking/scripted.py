@@ -5,13 +5,17 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from binpick_env.cell.delivery import Delivery
+from binpick_env.cell.wrist_force import WristForceSensor
 from binpick_env.env import BinPickEnv
 from perception.geometry import Floats, transform_points
 from policies.grasping.clearance import RankStats, rank_grasps
 from policies.grasping.failed_grasps import FailedGrasps
 from policies.grasping.grasps import sample_grasps, why_no_grasp
 from policies.grasping.gripper import gripper_model
+from policies.grasping.low_places import low_places
 from policies.grasping.observed_scene import ObservedScene
 from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome, PickResult, PushOutcome
 from policies.grasping.pushes import Push, find_pushes
@@ -21,10 +25,12 @@ from policies.motion.trajectory import Trajectory
 from policies.picking.attempt_planner import AttemptPlanner, Press
 from policies.picking.execution import Execution, ExecutionSettings
 from policies.picking.extra_decisions import ExtraDecisions
+from policies.picking.load_check import LoadCheck
 from policies.picking.pusher import Pusher
 from policies.picking.settings import PickerSettings
 
 ExecutionMaker = Callable[[BinPickEnv, ExecutionSettings], Execution]
+_WRIST_STREAM = 1  # number of the random stream of the wrist's force beside the environment's, which stays untouched
 T_SENSE = 0.5  # nominal exposure time of a structured-light camera [s]
 
 
@@ -105,6 +111,9 @@ class ScriptedPicker:
         d_max = self._env.part.model.d_max
         self.failed = FailedGrasps(radius=d_max / 4)
         self._extra = ExtraDecisions(radius=d_max / 2)
+        seed = max(self._env.np_random_seed, 0)  # -1 where the generator was given
+        rng = np.random.default_rng([seed, _WRIST_STREAM])
+        self._wrist = WristForceSensor(self._env.simulation, self.settings.doubles.force, rng)
         self._abstained = False  # whether the last decision was an abstention
 
     def pick(self) -> PickResult:
@@ -121,13 +130,13 @@ class ScriptedPicker:
         push = self._plan_push() if gives_up else None
         compute = time.perf_counter() - started + self._env.perception_time
         self._abstained = isinstance(plan, Abstention) and push is None
-        self._extra.decided()
         if push is not None:
             result = self._push(*push)
         elif isinstance(plan, Abstention):
-            return PickResult(abstention=plan, t_sense=T_SENSE, t_compute=compute, frame_id=self._env.frame_id)
+            result = PickResult(abstention=plan, t_sense=T_SENSE, frame_id=self._env.frame_id)
         else:
             result = self.execute(plan)
+        self._extra.decided()
         return replace(result, t_compute=compute + result.t_compute)
 
     # --- decision --------------------------------------------------------------------------------------------------
@@ -210,7 +219,10 @@ class ScriptedPicker:
         began, events_before, strays = env.simulation.time, len(env.events), env.unjudged()
         execution = self._execution(env, self.settings.execution)
         candidate = env.candidates[plan.grasp.candidate]
-        planning = self._move(plan, execution, candidate.T_world_part)
+        settings = self.settings.doubles
+        check = LoadCheck(env.simulation, self.gripper, plan.grasp.width, settings, self._wrist)
+        may_put_back = settings.put_back and self._extra.allows(candidate.centre_world, len(env.candidates) - 1)
+        planning = self._move(plan, execution, candidate.T_world_part, check, may_put_back)
         execution.await_judgement()
         # A part that was out of the bin already, and came to rest only now, belongs to an earlier attempt.
         kinds = [event.kind for event in env.events[events_before:] if event.part not in strays]
@@ -226,6 +238,7 @@ class ScriptedPicker:
             t_compute=planning,
             t_motion=env.simulation.time - began,
             frame_id=plan.frame_id,
+            double_check=check.result,
         )
 
     def _plan_push(self) -> tuple[Push, Press] | None:
@@ -249,22 +262,47 @@ class ScriptedPicker:
         times = {"t_sense": T_SENSE, "t_compute": planning, "t_motion": motion}
         return PickResult(push=outcome, part=candidate.part, frame_id=frame_id, **times)
 
-    def _move(self, plan: Plan, execution: Execution, T_world_part: Floats) -> float:
+    def _move(
+        self, plan: Plan, execution: Execution, T_world_part: Floats, check: LoadCheck, may_put_back: bool
+    ) -> float:
         """Run the attempt until the arm is home; return the wall clock spent on planning during it [s]."""
         grasp = plan.grasp
         if not execution.follow(plan.approach, self.gripper.control(grasp.opening), guard=True):
             return self._go_home(execution)
         execution.close()
         started = time.perf_counter()
-        carry = self._planner.carry(plan.q_grasp, grasp, T_world_part, self._pile_height())
+        pile = self._pile_height()
+        carry = self._planner.carry(plan.q_grasp, grasp, T_world_part, pile)
         planning = time.perf_counter() - started
         if carry is None:
             execution.release()
             execution.retrace()
             return planning
-        if execution.carry(carry, self.gripper.control(self.settings.empty_gap)):
+        if execution.carry(carry, self.gripper.control(self.settings.empty_gap), check, stop=may_put_back):
             execution.release()
+        elif execution.double:
+            planning += self._put_back(plan, execution, T_world_part, check)
         return planning + self._go_home(execution)
+
+    def _put_back(self, plan: Plan, execution: Execution, T_world_part: Floats, check: LoadCheck) -> float:
+        """Put more than one part back where the pile is low; return the wall clock spent on planning [s].
+
+        Where there is no way to such a place, they are let go where they are: above the bin.
+        """
+        started = time.perf_counter()
+        pile, q_from = self._pile_height(), self._env.simulation.target.copy()
+        places = low_places(self.observed_scene().heights, self._env.part.model.d_max / 2)
+        way = self._planner.put_back(q_from, plan.q_grasp, plan.grasp, T_world_part, pile, places)
+        planning = time.perf_counter() - started
+        if way is None:
+            execution.put_down(None, check)
+            return planning
+        execution.follow(way.across, 1.0)
+        execution.put_down(way.down, check)
+        self._extra.moved(self._env.candidates[plan.grasp.candidate].centre_world, way.place_world)
+        d_max = self._env.part.model.d_max
+        self.failed.add(way.place_world, plan.grasp.T_world_grasp, radius=d_max)
+        return planning
 
     def _go_home(self, execution: Execution) -> float:
         """Lift out of the bin and go home with the jaw open; return the wall clock spent on planning [s]."""

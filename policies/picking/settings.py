@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from policies.grasping.clearance import RankSettings
 from policies.grasping.pushes import PushSettings
 from policies.picking.execution import ExecutionSettings
+from policies.picking.load_check import DoubleSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,6 +14,7 @@ class PickerSettings:
 
     rank: RankSettings = field(default_factory=RankSettings)  # which grasps are clear, and which come first
     execution: ExecutionSettings = field(default_factory=ExecutionSettings)  # times and forces of an attempt
+    doubles: DoubleSettings = field(default_factory=DoubleSettings)  # more than one part in the jaw
     push: PushSettings = field(default_factory=PushSettings)  # pushes of parts without a grasp
     grasps_tried: int = 40  # largest number of grasps, best first, that a decision plans for before it abstains
     standoff: float = 0.06  # length of the straight approach

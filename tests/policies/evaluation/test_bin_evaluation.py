@@ -1,6 +1,7 @@
 import dataclasses
 import json
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,7 @@ from policies.evaluation.config import EvaluationConfig, bin_seed
 from policies.evaluation.jobs import FolderError, Job, run_job
 from policies.evaluation.records import BinRecord, load_record, record_path, save_record
 from policies.evaluation.tables import found_note
-from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
+from policies.grasping.outcomes import Abstention, DoubleCheck, GraspOutcome, PickResult
 from tests.policies.fake_cell import FakeEnv, ScriptPicker, abstain, attempt, broken_cell, dice_cell, pushed
 
 CONFIG = EvaluationConfig(num_parts=(6, 6))
@@ -97,21 +98,24 @@ def test_a_record_survives_its_file(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["bin_0000.json"]  # no draft is left
 
 
-def test_a_push_survives_its_file_and_records_of_earlier_versions_have_none(tmp_path: Path) -> None:
+def test_pushes_and_checks_survive_their_file_and_records_of_earlier_versions_have_none(tmp_path: Path) -> None:
     def make(config: EvaluationConfig) -> Cell:
         env = FakeEnv(parts=2)
-        return Cell(env, ScriptPicker(env, pushed(), abstain(), abstain()))  # type: ignore[arg-type]
+        check = DoubleCheck(jaw_excess=0.001, load=1.1, jaw=False, weight=False, held=1)
+        lifted = replace(attempt(GraspOutcome.MISSED), double_check=check)
+        return Cell(env, ScriptPicker(env, lifted, pushed(), abstain(), abstain()))  # type: ignore[arg-type]
 
     record = evaluate_bin(CONFIG, 0, cells=CellCache(make))
-    assert [str(pick.ending) for pick in record.picks] == ["moved", "no_candidate", "no_candidate"]
-    assert (len(record.attempts), len(record.timed)) == (0, 1)
+    assert [str(pick.ending) for pick in record.picks] == ["missed", "moved", "no_candidate", "no_candidate"]
+    assert (len(record.attempts), len(record.timed)) == (1, 2)
+    assert record.picks[0].double_check is not None
     path = save_record(record, tmp_path)
     assert load_record(path) == record
     values = json.loads(path.read_text())
     for pick in values["picks"]:
-        del pick["push"]
+        del pick["push"], pick["double_check"]
     path.write_text(json.dumps(values))
-    assert [pick.push for pick in load_record(path).picks] == [None] * 3
+    assert [(pick.push, pick.double_check) for pick in load_record(path).picks] == [(None, None)] * 4
 
 
 def test_the_cell_is_closed_and_decisions_are_reported() -> None:

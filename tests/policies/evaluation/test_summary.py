@@ -12,7 +12,7 @@ from policies.evaluation.frame_record import CandidateRecord, FrameRecord
 from policies.evaluation.records import BinRecord
 from policies.evaluation.summary import Summary, summarise
 from policies.evaluation.tables import result_table
-from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult, PushOutcome
+from policies.grasping.outcomes import Abstention, DoubleCheck, GraspOutcome, PickResult, PushOutcome
 from tests.policies.fake_cell import abstain, attempt, bin_result, pushed
 
 CONFIG = EvaluationConfig()
@@ -78,6 +78,18 @@ def test_the_time_of_pushes_counts_and_they_are_no_attempts(records: list[BinRec
     assert summary.mpph == pytest.approx(3600 * 3 / (seconds + 2 * 4.0))
     assert "pushes by outcome" in result_table(summary)
     assert "pushes" not in result_table(without)
+
+
+def test_what_the_detectors_of_doubles_said_is_counted_and_printed() -> None:
+    double = DoubleCheck(jaw_excess=0.0, load=2.0, jaw=False, weight=True, held=2)
+    lifts = [replace(attempt(DELIVERED), double_check=replace(double, held=1, weight=False, load=1.0))] * 3
+    summary = summary_of([record(0, *lifts, replace(attempt(GraspOutcome.PUT_BACK), double_check=double))])
+    assert (summary.doubles["lifts"], summary.doubles["doubles"]) == (4, 1)
+    assert summary.doubles["weight"] == {"detected": 1, "missed": 0, "false_alarms": 0}
+    assert (summary.attempts, summary.gsr, summary.outcomes["put_back"]) == (4, 0.75, 1)
+    table = result_table(summary)
+    assert "more than one part lifted   1 of 4 lifts" in table
+    assert "found by the weight       1 detected, 0 missed, 0 false alarms" in table
 
 
 def test_wall_clock_leaves_the_drop_out_of_an_attempt(records: list[BinRecord]) -> None:

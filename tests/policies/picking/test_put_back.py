@@ -1,0 +1,93 @@
+"""Two parts in one jaw are found by their weight and put back, on the real physics."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from policies.grasping.outcomes import GraspOutcome
+from policies.picking.load_check import DoubleSettings
+from policies.picking.scripted import ScriptedPicker
+from policies.picking.settings import PickerSettings
+from tests.policies.hand_cell import HandCell
+
+pytestmark = pytest.mark.slow
+PUT_BACK = PickerSettings(doubles=DoubleSettings(put_back=True))
+
+
+@pytest.fixture
+def careful(lids: HandCell, monkeypatch: pytest.MonkeyPatch) -> HandCell:
+    """Return the lids' cell with a picker that puts doubles back."""
+    monkeypatch.setattr(lids, "picker", ScriptedPicker(lids.env, PUT_BACK))
+    return lids
+
+
+def lay_two(cell: HandCell) -> None:
+    """Lay a lid with another one on it, which no frame shows; both come along."""
+    cell.lay(cell.flat(), unseen=[cell.flat(above=cell.thickness + 0.001)])
+    for _ in range(10):  # a put-back must be at most a fifth of the decisions
+        cell.picker._extra.decided()
+
+
+def test_two_lids_are_put_back_and_stay_in_the_bin(careful: HandCell) -> None:
+    lay_two(careful)
+    result = careful.picker.pick()
+    assert (result.outcome, result.delivered, result.success) == (GraspOutcome.PUT_BACK, 0, False)
+    check = result.double_check
+    assert check is not None
+    assert (check.weight, check.held) == (True, 2)
+    assert check.load == pytest.approx(2.0, abs=0.45)
+    env = careful.env
+    assert (env.events, env.remaining) == ([], 2)
+    assert env.workspace.contains(env.simulation.part_centres()).all()
+    assert careful.at_home
+    closed = np.array([step.action[6] == 1.0 for step in careful.log])
+    let_go = len(closed) - 1 - int(np.argmax(closed[::-1]))
+    assert careful.log[let_go].height < careful.log[let_go - 10].height < 0.4  # lowered, not dropped from the lift
+
+
+def test_a_lone_lid_is_no_double(careful: HandCell) -> None:
+    careful.lay(careful.flat())
+    result = careful.picker.pick()
+    assert result.outcome is GraspOutcome.DELIVERED
+    assert result.double_check is not None
+    assert (result.double_check.weight, result.double_check.jaw, result.double_check.held) == (False, False, 1)
+
+
+def test_what_was_put_back_is_tried_last_and_not_put_back_a_third_time(careful: HandCell) -> None:
+    lay_two(careful)
+    assert careful.picker.pick().outcome is GraspOutcome.PUT_BACK
+    centres = careful.env.simulation.part_centres()
+    assert all(careful.picker.failed.suspect(centre) for centre in centres)
+    careful.picker._extra.moved(centres[0], centres[0])
+    assert not careful.picker._extra.allows(centres[0])
+
+
+def test_by_default_a_double_is_found_and_delivered_as_before(lids: HandCell) -> None:
+    lay_two(lids)
+    result = lids.picker.pick()
+    assert result.outcome is GraspOutcome.DOUBLE
+    assert result.double_check is not None
+    assert (result.double_check.weight, result.double_check.held) == (True, 2)
+
+
+def test_a_detector_that_is_switched_off_puts_nothing_back(careful: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = replace(PUT_BACK, doubles=DoubleSettings(put_back=True, weight=False))
+    monkeypatch.setattr(careful, "picker", ScriptedPicker(careful.env, settings))
+    lay_two(careful)
+    assert careful.picker.pick().outcome is GraspOutcome.DOUBLE
+
+
+def test_the_first_decision_of_a_small_bin_puts_nothing_back(careful: HandCell) -> None:
+    careful.lay(careful.flat(), unseen=[careful.flat(above=careful.thickness + 0.001)])
+    assert careful.picker.pick().outcome is GraspOutcome.DOUBLE
+
+
+def test_where_no_way_leads_back_the_load_is_let_go_above_the_bin(
+    careful: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(careful.picker._planner, "put_back", lambda *_: None)
+    lay_two(careful)
+    result = careful.picker.pick()
+    assert result.outcome is GraspOutcome.PUT_BACK
+    assert careful.env.delivered == 0
