@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from perception.geometry import Floats, transform_points
+from perception.geometry import Floats, invert_transform, transform_points
 from policies.grasping.heightmap import HeightMap
 
 
@@ -37,5 +37,8 @@ def low_places(heights: HeightMap, radius: float, count: int = 6) -> Floats:
             if len(chosen) == count:
                 break
     places_bin = heights.origin + heights.cell * (np.array(chosen) + corner + 0.5)
-    T_world_bin = np.linalg.inv(heights.T_bin_world)
-    return transform_points(T_world_bin, np.column_stack([places_bin, np.zeros(len(places_bin))]))[:, :2]
+    T_world_bin = invert_transform(heights.T_bin_world)
+    places_world: Floats = transform_points(T_world_bin, np.column_stack([places_bin, np.zeros(len(places_bin))]))[
+        :, :2
+    ]
+    return places_world

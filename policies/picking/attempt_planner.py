@@ -98,7 +98,12 @@ class AttemptPlanner:
         return self._motion.plan_transfer(q_from, q_grasp, tool, legs, obstacle_height=pile).trajectory
 
     def carry(
-        self, q_grasp: Floats, grasp: GraspCandidate, T_world_part: Floats, pile: HeightFunction
+        self,
+        q_grasp: Floats,
+        grasp: GraspCandidate,
+        T_world_part: Floats,
+        pile: HeightFunction,
+        q_from: Floats | None = None,
     ) -> Trajectory | None:
         """Plan the lift and the way to the tray with the part in the jaw; None if there is no free way.
 
@@ -106,20 +111,22 @@ class AttemptPlanner:
         for the gripper alone, and at full speed.
 
         Args:
-            q_grasp: (6,) posture at the grasp, where the motion starts [rad].
+            q_grasp: (6,) posture at the grasp [rad].
             grasp: The grasp.
             T_world_part: (4, 4) pose of the part before the lift.
             pile: Height of the pile.
+            q_from: (6,) posture where the motion starts, with the part in the jaw [rad]; ``q_grasp`` if None.
         """
         part_tcp, tool = self._load(q_grasp, grasp, T_world_part)
-        legs = StraightLegs(lift=self._motion.clearing_lift(q_grasp, tool) + _LIFT_MARGIN)
+        q_from = q_grasp if q_from is None else q_from
+        legs = StraightLegs(lift=self._motion.clearing_lift(q_from, tool) + _LIFT_MARGIN)
         q_release = self._release_posture(part_tcp)
         to_tray = self._motion.plan_transfer(
-            q_grasp, q_release, tool, legs, obstacle_height=pile, scale=self._settings.carry_scale
+            q_from, q_release, tool, legs, obstacle_height=pile, scale=self._settings.carry_scale
         )
         if to_tray.trajectory is not None:
             return to_tray.trajectory
-        return self._motion.plan_transfer(q_grasp, HOME, Tool(opening=grasp.width), legs).trajectory
+        return self._motion.plan_transfer(q_from, HOME, Tool(opening=grasp.width), legs).trajectory
 
     def put_back(
         self,

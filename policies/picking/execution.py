@@ -99,6 +99,14 @@ class Execution:
         self.release()
         self._put_back = True
 
+    def still_double(self, check: LoadCheck) -> bool:
+        """Weigh the load once more, at rest; return whether it still is more than one part."""
+        for _ in range(check.readings):
+            self._step(self._env.simulation.target, 1.0)
+            check.feel()
+        self.double = check.decide()
+        return self.double
+
     def _brake(self, trajectory: Trajectory, k: int) -> None:
         """Come to rest along the trajectory from its sample ``k`` on."""
         at, last = float(k), len(trajectory.q) - 1

@@ -81,6 +81,11 @@ class LoadCheck:
         self._readings.append((self._sensor.read(), height))
 
     @property
+    def readings(self) -> int:
+        """Number of readings that an answer needs."""
+        return self._settings.readings + 1
+
+    @property
     def weight(self) -> float:
         """Mean of the last readings [N], less what the vertical acceleration of the load adds."""
         force, height = np.array(self._readings).T
@@ -97,7 +102,10 @@ class LoadCheck:
         return float(np.mean([force for force, _ in list(self._readings)[-3:]])) < 0.5 * lifted
 
     def decide(self) -> bool:
-        """Keep what was measured as ``result``; return whether there is more than one part for a reason that counts."""
+        """Keep what was measured as ``result``; return whether there is more than one part for a reason that counts.
+
+        It may be asked again: another part may have leaned on the load and fallen off.
+        """
         settings, simulation = self._settings, self._simulation
         mass, weight = simulation.part.mass, self.weight
         excess = self._gripper.gap(simulation.gripper_position) - self._width

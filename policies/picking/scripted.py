@@ -280,8 +280,15 @@ class ScriptedPicker:
             return planning
         if execution.carry(carry, self.gripper.control(self.settings.empty_gap), check, stop=may_put_back):
             execution.release()
-        elif execution.double:
+        elif execution.double and execution.still_double(check):
             planning += self._put_back(plan, execution, T_world_part, check)
+        elif check.result is not None:  # it is one part after all
+            started = time.perf_counter()
+            q_from = self._env.simulation.target.copy()
+            carry = self._planner.carry(plan.q_grasp, grasp, T_world_part, pile, q_from)
+            planning += time.perf_counter() - started
+            if carry is None or execution.carry(carry, self.gripper.control(self.settings.empty_gap)):
+                execution.release()
         return planning + self._go_home(execution)
 
     def _put_back(self, plan: Plan, execution: Execution, T_world_part: Floats, check: LoadCheck) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from policies.grasping.outcomes import GraspOutcome
-from policies.picking.load_check import DoubleSettings
+from policies.picking.load_check import DoubleSettings, LoadCheck
 from policies.picking.scripted import ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import HandCell
@@ -91,3 +91,20 @@ def test_where_no_way_leads_back_the_load_is_let_go_above_the_bin(
     result = careful.picker.pick()
     assert result.outcome is GraspOutcome.PUT_BACK
     assert careful.env.delivered == 0
+
+
+def test_a_load_that_is_one_part_after_all_is_delivered(careful: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second part that leaned on the first has fallen off when the load is weighed at rest."""
+    answers = iter([True, False])
+    decide = LoadCheck.decide
+
+    def leaned_on(check: LoadCheck) -> bool:
+        decide(check)
+        return next(answers)
+
+    monkeypatch.setattr(LoadCheck, "decide", leaned_on)
+    careful.lay(careful.flat(), careful.flat(0.1))
+    for _ in range(10):
+        careful.picker._extra.decided()
+    assert careful.picker.pick().outcome is GraspOutcome.DELIVERED
+    assert next(answers, None) is None  # it was weighed twice
