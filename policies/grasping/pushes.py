@@ -120,7 +120,9 @@ def _of_part(
         way_world = R_world_bin @ np.append(way_bin, 0.0)
         moved = make_transform(translation=way_world) @ candidate.T_world_part
         clear = int(clear_among(surroundings, moved, grasps, gripper, rank).sum())
-        ways.append((way_bin, way_world, min(clear, _ENOUGH) / _ENOUGH + 0.5 * gain - 2 * np.linalg.norm(way_bin)))
+        ways.append(
+            (way_bin, way_world, min(clear, _ENOUGH) / _ENOUGH + 0.5 * gain - 2 * float(np.linalg.norm(way_bin)))
+        )
     ways = sorted(ways, key=lambda way: -way[2])[:_WAYS]
     for i, j, worth in places:
         centre_bin = np.append(heights.origin + heights.cell * (np.array([i, j]) + 0.5), own[i, j])

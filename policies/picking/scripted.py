@@ -259,8 +259,14 @@ class ScriptedPicker:
         self._extra.moved(candidate.centre_world, candidate.centre_world + push.drag_world)
         if outcome is not PushOutcome.LEFT_BIN and isinstance(self._decide(), Plan):
             outcome = PushOutcome.FREED
-        times = {"t_sense": T_SENSE, "t_compute": planning, "t_motion": motion}
-        return PickResult(push=outcome, part=candidate.part, frame_id=frame_id, **times)
+        return PickResult(
+            push=outcome,
+            part=candidate.part,
+            t_sense=T_SENSE,
+            t_compute=planning,
+            t_motion=motion,
+            frame_id=frame_id,
+        )
 
     def _move(
         self, plan: Plan, execution: Execution, T_world_part: Floats, check: LoadCheck, may_put_back: bool

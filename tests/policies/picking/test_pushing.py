@@ -8,7 +8,7 @@ import pytest
 from perception.geometry import Floats
 from policies.grasping.outcomes import Abstention, GraspOutcome, PushOutcome
 from policies.grasping.pushes import PushSettings
-from policies.picking import scripted
+from policies.picking.extra_decisions import ExtraDecisions
 from policies.picking.scripted import ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import HandCell
@@ -20,7 +20,7 @@ PUSHING = PickerSettings(push=PushSettings(enabled=True))
 def pushing(lids: HandCell, monkeypatch: pytest.MonkeyPatch) -> HandCell:
     """Return the lids' cell with a picker that pushes, and that may do so at once."""
     monkeypatch.setattr(lids, "picker", ScriptedPicker(lids.env, PUSHING))
-    monkeypatch.setattr(scripted.ExtraDecisions, "allows", lambda *_: True)
+    monkeypatch.setattr(ExtraDecisions, "allows", lambda *_: True)
     return lids
 
 
@@ -74,7 +74,7 @@ def test_a_push_of_a_part_that_is_gone_touches_nothing(pushing: HandCell) -> Non
 
 
 def test_a_part_that_was_moved_twice_is_left_alone(pushing: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scripted.ExtraDecisions, "allows", lambda *_: False)
+    monkeypatch.setattr(ExtraDecisions, "allows", lambda *_: False)
     pushing.lay(at_wall(pushing))
     assert [pushing.picker.pick().abstention for _ in range(2)] == [Abstention.NO_CLEAR_APPROACH] * 2
     assert pushing.log == []
