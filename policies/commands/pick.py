@@ -41,6 +41,8 @@ class Arguments(CellArguments):
     max_parts: int = 30  # largest number of parts in a bin
     noise_mm: float = 0.0  # error of the oracle's positions, standard deviation per axis [mm]
     noise_deg: float = 0.0  # error of the oracle's rotations, standard deviation [deg]
+    push: bool = False  # push a part without a grasp to where one is clear, before a bin is given up
+    put_back: bool = False  # put more than one part in the jaw, found by weight or width, back into the bin
     fresh: bool = False  # compute all bins again, including those that are there
     out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-SEED) unless given
     json: Path | None = None  # JSON file for the numbers; results.json (or budget.json) in the folder unless given
@@ -56,12 +58,17 @@ class Arguments(CellArguments):
         """Return what the numbers depend on."""
         from binpick_env.observation.oracle import PoseNoise
         from policies.evaluation.config import EvaluationConfig
+        from policies.grasping.pushes import PushSettings
+        from policies.picking.load_check import DoubleSettings
+        from policies.picking.settings import PickerSettings
 
+        picker = PickerSettings(push=PushSettings(enabled=self.push), doubles=DoubleSettings(put_back=self.put_back))
         return EvaluationConfig(
             **evaluated(self.options()),
             seed=self.seed,
             perception=self.perception,
             network=self.network,
+            picker=picker,
             num_parts=(self.min_parts, self.max_parts),
             pose_noise=PoseNoise(translation=self.noise_mm / 1000, rotation=radians(self.noise_deg)),
         )

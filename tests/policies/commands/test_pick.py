@@ -188,3 +188,10 @@ def test_a_part_without_weights_gets_the_commands_that_make_them_and_the_other_m
     command = shlex.split(capsys.readouterr().err.split("weights of this part alone: ")[1])
     training = parse(train_segmentation.Arguments, "train-segmentation", command[2:])
     assert (training.preset, training.install) == ("dgcnn-sgpn", True)
+
+
+def test_pushes_and_put_backs_are_asked_for() -> None:
+    plain, both = pick.Arguments().config(), pick.Arguments(push=True, put_back=True).config()
+    assert (plain.picker.push.enabled, plain.picker.doubles.put_back) == (False, False)
+    assert (both.picker.push.enabled, both.picker.doubles.put_back) == (True, True)
+    assert plain == pick.Arguments(push=False).config()
