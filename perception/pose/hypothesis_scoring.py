@@ -12,7 +12,7 @@ from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.model.appearances import EdgeAppearances
 from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.pose_estimate import PoseEstimate
-from perception.pose.verification.confidence import confidence, mismatch_penalty
+from perception.pose.verification.confidence import confidence, error_penalty, mismatch_penalty
 from perception.pose.verification.expected_error import expected_error
 from perception.pose.verification.joint_refinement import refine_jointly
 from perception.pose.verification.mismatch import find_mismatch
@@ -150,9 +150,10 @@ class HypothesisScorer:
         expected = expected_error(
             best.T_cam_part, part.symmetry, models.edges, models.surface, self._group, config.joint_refinement
         )
+        turned = error_penalty(expected.rotation, config.confidence)
         return PoseEstimate(
             T_cam_part=best.T_cam_part,
-            score=confidence(verdict, margin, drop, size, config.confidence, penalty, expected.rotation),
+            score=confidence(verdict, margin, drop, size, config.confidence, penalty + turned),
             instance_idx=instance_idx,
             visible_fraction=verdict.visible_fraction,
             verdict=verdict,

@@ -100,7 +100,6 @@ def confidence(
     size: int,
     config: ConfidenceConfig | None = None,
     penalty: float = 0.0,
-    rotation_error: float = 0.0,
 ) -> float:
     """Return the probability that a pose is right, in [0, 1].
 
@@ -110,22 +109,20 @@ def confidence(
         score_drop: Smallest decrease of the logit under small rotations; infinite if there are none.
         size: Number of boundary points of the group after thinning.
         config: Coefficients; the defaults of :class:`ConfidenceConfig` if None.
-        penalty: Term that is added to the weighted sum; see :func:`mismatch_penalty`.
-        rotation_error: Standard deviation of the rotation in its worst direction [rad]; see
-            `perception.pose.verification.expected_error`.
+        penalty: Term that is added to the weighted sum; see :func:`mismatch_penalty` and :func:`error_penalty`.
 
     Raises:
-        ValueError: ``size`` is not positive, or ``margin``, ``score_drop`` or ``rotation_error`` is NaN.
+        ValueError: ``size`` is not positive, or ``margin`` or ``score_drop`` is NaN.
     """
     config = config or ConfidenceConfig()
     if size < 1:
         raise ValueError(f"size must be at least 1, got {size}")
-    for name, value in (("margin", margin), ("score_drop", score_drop), ("rotation_error", rotation_error)):
+    for name, value in (("margin", margin), ("score_drop", score_drop)):
         if np.isnan(value):
             raise ValueError(f"{name} must not be NaN, got {value}")
     verdicts = np.array([[verdict.edge_score, verdict.support, verdict.violation]])
-    rotation_errors = np.array([rotation_error])
-    found = predictors(verdicts, np.array([margin]), np.array([score_drop]), np.array([size]), rotation_errors, config)
+    exact = np.zeros(1)  # the expected error is in the penalty
+    found = predictors(verdicts, np.array([margin]), np.array([score_drop]), np.array([size]), exact, config)
     return float(confidences(found, config, penalty)[0])
 
 
@@ -140,6 +137,22 @@ def mismatch_penalty(mismatch: Mismatch, noise: float, config: ConfidenceConfig)
     patch = config.patch_weight * max(mismatch.patch - config.patch, 0.0)
     stray = config.stray_weight * max(mismatch.stray - config.stray, 0.0)
     return patch + stray + config.noise_weight * max(noise - config.noise, 0.0)
+
+
+def error_penalty(rotation_error: float, config: ConfidenceConfig) -> float:
+    """Return the term that the expected error of a pose's rotation adds to the weighted sum.
+
+    Args:
+        rotation_error: Standard deviation of the rotation in its worst direction [rad]; see
+            `perception.pose.verification.expected_error`.
+        config: Limits and coefficient.
+
+    Raises:
+        ValueError: ``rotation_error`` is NaN.
+    """
+    if np.isnan(rotation_error):
+        raise ValueError(f"rotation_error must not be NaN, got {rotation_error}")
+    return config.rotation_error * float(_beyond(np.float64(rotation_error), config))
 
 
 def predictors(
@@ -163,8 +176,12 @@ def predictors(
     clipped = [
         np.clip(values, -limit, limit) for values in (margins, score_drops) for limit in (config.clear, config.close)
     ]
-    beyond = np.clip(rotation_errors - config.exact, 0.0, config.unknown - config.exact)
-    return np.column_stack([verdicts, *clipped, np.log(sizes), beyond])
+    return np.column_stack([verdicts, *clipped, np.log(sizes), _beyond(rotation_errors, config)])
+
+
+def _beyond(rotation_errors: Floats | np.float64, config: ConfidenceConfig) -> Floats:
+    """Return by how much expected errors exceed ``exact``, up to ``unknown`` [rad]."""
+    return np.asarray(np.clip(rotation_errors - config.exact, 0.0, config.unknown - config.exact), np.float64)
 
 
 def confidences(predicted_by: Floats, config: ConfidenceConfig, penalty: float | Floats = 0.0) -> Floats:

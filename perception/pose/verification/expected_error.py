@@ -24,8 +24,9 @@ class ExpectedError:
     """Standard deviations of a pose's error in its worst direction.
 
     Attributes:
-        rotation: That of the rotation about the worst axis [rad]; turns about an axis of revolution do not count.
-        translation: That of the position of the part's centre along the worst direction [m].
+        rotation: Standard deviation of the rotation about the worst axis [rad]; turns about an axis of revolution do
+            not count.
+        translation: Standard deviation of the position of the part's centre along the worst direction [m].
     """
 
     rotation: float = 0.0

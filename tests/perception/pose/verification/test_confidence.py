@@ -10,6 +10,7 @@ from perception.pose.verification.confidence import (
     ConfidenceConfig,
     confidence,
     confidences,
+    error_penalty,
     mismatch_penalty,
     predictors,
 )
@@ -115,7 +116,8 @@ def test_agreement_raises_the_confidence_and_violation_lowers_it() -> None:
 
 def test_a_rotation_that_noise_leaves_open_lowers_the_confidence() -> None:
     def sure(degrees: float) -> float:
-        return confidence(VERDICT, 1.0, DROP, 60, rotation_error=float(np.deg2rad(degrees)))
+        penalty = error_penalty(float(np.deg2rad(degrees)), ConfidenceConfig())
+        return confidence(VERDICT, 1.0, DROP, 60, penalty=penalty)
 
     assert sure(0.0) == sure(1.0) > sure(3.0) > sure(6.0) > sure(20.0) == sure(90.0)
 
@@ -160,7 +162,13 @@ def test_limits_of_the_expected_error_in_the_wrong_order_are_refused(limits: dic
 
 def test_an_expected_error_that_is_nan_is_refused() -> None:
     with pytest.raises(ValueError, match="rotation_error must not be NaN, got nan"):
-        confidence(VERDICT, 1.0, DROP, 60, rotation_error=np.nan)
+        error_penalty(np.nan, PLAIN)
+
+
+def test_the_penalty_of_an_expected_error_is_its_share_of_the_regression() -> None:
+    found = predictors(np.zeros((1, 3)), np.zeros(1), np.zeros(1), np.ones(1), np.array([0.11]), PLAIN)
+    assert error_penalty(0.11, PLAIN) == pytest.approx(PLAIN.rotation_error * found[0, -1])
+    assert found[0, -1] == pytest.approx(0.09)
 
 
 def test_extremes_stay_in_bounds() -> None:
