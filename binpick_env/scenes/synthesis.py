@@ -31,6 +31,7 @@ from binpick_env.scenes.clutter import visible_fractions
 from perception.boundary import extract_boundary
 from perception.geometry import Floats, invert_transform, make_transform, rotation_about, transform_point_each
 from perception.runtime.files import json_text
+from perception.runtime.last_result import LastResult
 from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError
 from perception.segmentation.surface import coarse_surface
 from perception.shape import shape_signature
@@ -142,7 +143,7 @@ class _SceneSetup:
     camera: DepthCamera
 
 
-@lru_cache(maxsize=1)
+@LastResult
 def _scene_setup(config: SceneConfig) -> _SceneSetup:
     part = config.options().load_part()
     simulation = Simulation(config.cell(), part, max(config.num_parts[1], 1))

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol, get_args
 
@@ -18,6 +17,7 @@ from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.explanation import ExplanationConfig
+from perception.runtime.last_result import LastResult
 from perception.segmentation.grouping.similarity import GroupingConfig
 from perception.segmentation.scene import BoundaryScene
 from perception.segmentation.surface import Surface
@@ -141,6 +141,6 @@ def pose_method(config: PoseMethodConfig, options: CellOptions) -> PoseMethod:
     return _loaded(config, options, None if config.network is None else config.network.digest())
 
 
-@lru_cache(maxsize=1)
+@LastResult
 def _loaded(config: PoseMethodConfig, options: CellOptions, digest: str | None) -> PoseMethod:  # noqa: ARG001
     return PoseMethod(config, options.load_part().model, options.cell().bin.workspace())

@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -14,6 +13,7 @@ from binpick_env.evaluation.choices import SegmentationKind
 from perception.boundary import BoundaryCloud
 from perception.geometry import Floats
 from perception.instance import Instance, instances_of
+from perception.runtime.last_result import LastResult
 from perception.segmentation.grouping.euclidean import euclidean_components
 from perception.segmentation.grouping.group_merging import GroupMergingConfig, merge_groups
 from perception.segmentation.grouping.similarity import GroupingConfig, group_points, propagate_labels
@@ -165,7 +165,7 @@ def segmenter(config: MethodConfig) -> Segmenter:
     return _loaded(config, config.digest())
 
 
-@lru_cache(maxsize=1)
+@LastResult
 def _loaded(config: MethodConfig, digest: str | None) -> Segmenter:  # noqa: ARG001 - part of the key
     return Segmenter(config)
 

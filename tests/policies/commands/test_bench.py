@@ -25,8 +25,8 @@ def test_a_pile_that_does_not_settle_is_one_line_in_every_command(
 
 @pytest.mark.slow
 def test_bench_measures_and_compares(tmp_path: Path) -> None:
-    file = str(tmp_path / "cell.json")
-    done = run("bench", "cell", "--repeats", "1", "--picks", "1", "--count", "3", "--save", file)
+    file, small = str(tmp_path / "cell.json"), ("--width", "640", "--height", "480")
+    done = run("bench", "cell", "--repeats", "1", "--picks", "1", "--count", "3", *small, "--save", file)
     assert done.returncode == 0, done.stderr
     rows = {row["name"] for row in json.loads(Path(file).read_text())["rows"]}
     assert {"drop and settle", "attempts", "steps of 0.04 s, picking"} <= rows

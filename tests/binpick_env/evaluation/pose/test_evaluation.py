@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,6 +21,7 @@ from binpick_env.evaluation.pose.method import PoseMethodConfig
 from binpick_env.evaluation.pose.record import PoseRecord
 from binpick_env.evaluation.pose.scene_score import load_pose_scores
 from binpick_env.evaluation.segmentation.record import record_path
+from binpick_env.jobs import process_map
 from binpick_env.parts import load_part
 from binpick_env.scenes.synthesis import SceneConfig, make_scene
 from perception.boundary import BoundaryCloud
@@ -340,8 +342,10 @@ def test_an_invalid_evaluation_leaves_no_folder(tmp_path: Path, truth_estimators
 
 
 @pytest.mark.slow
-def test_the_records_do_not_depend_on_the_workers(tmp_path: Path) -> None:
-    """In processes of their own, which make the scenes, too; the evaluation of segments starts its own likewise."""
+def test_the_records_do_not_depend_on_the_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a process of its own, which makes the scenes, too; the evaluation of segments starts its own likewise."""
+    # One of the two processes does both; test_process_map.py starts several.
+    monkeypatch.setattr(process_map, "ProcessPoolExecutor", lambda _, **how: ProcessPoolExecutor(1, **how))
     small = replace(config(), scenes=replace(SCENES, num_parts=(1, 1)))
     list(evaluate_poses(small, 2, tmp_path / "1", 1, pictures=False))
     list(evaluate_poses(small, 2, tmp_path / "2", 2, pictures=False))
