@@ -306,7 +306,13 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
         save_records(args.json, outcomes)
     if args.bop is not None:
         save_bop_results(args.bop, outcomes, names)
-    places = {"numbers": args.json, "BOP": args.bop, "recording": args.rerun, "results": job.out}
+    places = {
+        "numbers": args.json,
+        "BOP": args.bop,
+        "outlines": args.overlay,
+        "recording": args.rerun,
+        "results": job.out,
+    }
     ends = [f"{label:<9} {place}" for label, place in places.items() if place is not None]
     if len(outcomes) > 1:
         ends.insert(0, f"frames    {_counts(outcomes)}")
