@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
+from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult, PushOutcome
 from tests.policies.fake_cell import attempt, grasp
 
 
@@ -27,8 +27,8 @@ def test_what_is_not_known_says_so() -> None:
 
 
 @pytest.mark.parametrize("both", [{}, {"outcome": GraspOutcome.MISSED, "abstention": Abstention.IK_INFEASIBLE}])
-def test_a_result_is_one_of_the_two(both: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=r"^a PickResult has either an outcome or an abstention$"):
+def test_a_result_is_one_of_the_three(both: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"^a PickResult has either an outcome or an abstention or a push$"):
         PickResult(**both)
 
 
@@ -42,7 +42,9 @@ def test_the_names_in_the_results_file_are_a_contract() -> None:
         "double",
         "left_bin",
         "not_settled",
+        "put_back",
     ]
+    assert [str(ending) for ending in PushOutcome] == ["freed", "moved", "broken_off", "not_touched", "left_bin"]
     assert [str(reason) for reason in Abstention] == ["no_candidate", "no_clear_approach", "ik_infeasible"]
 
 
