@@ -4,7 +4,6 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt
 NEWEST := .venv-newest
-EXTRAS := learn,report,viz,cameras,docs,dev
 JOBS ?= 2
 # A file's tests run in one process, which builds the file's cells once.
 DIST := --dist loadfile --no-loadscope-reorder
@@ -30,7 +29,7 @@ $(VENV)/.run-stamp: pyproject.toml constraints.txt | $(BIN)/python
 $(VENV)/.dev-stamp: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing binpick with everything for development into $(VENV) ..."
 	$(PIP) torch==2.13.0
-	$(PIP) -e '.[$(EXTRAS)]' hatchling
+	$(PIP) -e '.[learn,report,viz,cameras,docs,dev]' hatchling
 	@touch $@ $(VENV)/.run-stamp
 
 setup: $(VENV)/.dev-stamp  ## make .venv with everything for development
@@ -48,7 +47,7 @@ test-fast: $(VENV)/.dev-stamp  ## the tests without long simulations, trainings 
 test-newest:  ## every test on the newest versions of all dependencies, in an environment of its own
 	rm -rf $(NEWEST)
 	$(PYTHON) -m venv $(NEWEST)
-	$(NEWEST)/bin/python -m pip install --disable-pip-version-check --upgrade -e '.[$(EXTRAS)]' hatchling
+	$(NEWEST)/bin/python -m pip install --disable-pip-version-check --upgrade -e '.[learn,report,viz,cameras,docs,dev]' hatchling
 	$(NEWEST)/bin/python -m pip freeze --exclude-editable > $(NEWEST)/versions.txt
 	$(NEWEST)/bin/python -m pytest -n $(JOBS) $(DIST) $(ARGS)
 

@@ -109,6 +109,12 @@ def test_constraints_pin_every_dependency_exactly() -> None:
     assert {re.split(r"[><=!]", name)[0].lower().replace("_", "-") for name in wanted} <= pinned
 
 
+def test_every_upper_bound_has_its_reason_beside_it() -> None:
+    lines = (ROOT / "pyproject.toml").read_text(encoding="utf-8").splitlines()
+    bounded = [line for line in lines if re.search(r'"[\w.-]+[^";]*(<|!=|~=|==)', line.split("#")[0])]
+    assert [line for line in bounded if not re.search(r"#\s+\w+", line)] == []
+
+
 @pytest.mark.parametrize("name", ["README.md", "BENCHMARK.md", "CHANGELOG.md"])
 def test_no_figure_is_left_open(name: str) -> None:
     assert "TODO" not in (ROOT / name).read_text(encoding="utf-8")

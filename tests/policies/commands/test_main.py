@@ -256,7 +256,7 @@ def test_every_output_of_a_command_is_checked_before_its_work() -> None:
 def test_a_terminal_without_utf_8_gets_every_line(tmp_path: Path) -> None:
     code = (
         "import sys; from policies.commands import compare; from policies.commands.main import main; "
-        "compare.main = lambda options: print('GSR ═ 97 %') or 0; sys.exit(main(['compare']))"
+        "compare.main = lambda options: print('GSR \\u2550 97 %') or 0; sys.exit(main(['compare']))"
     )
     done = start([sys.executable, "-c", code], ROOT, PYTHONIOENCODING="ascii", LC_ALL="C")
     assert (done.returncode, done.stdout) == (0, "GSR ? 97 %\n")

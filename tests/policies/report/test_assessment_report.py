@@ -46,7 +46,7 @@ def run_of(folder: Path, findings: Findings = FINE, advice: tuple[Advice, ...] |
 
 def written(folder: Path, **changes: Any) -> str:
     write_assessment_report(folder / "report.html", run_of(folder, **changes), folder)
-    return (folder / "report.html").read_text()
+    return (folder / "report.html").read_text(encoding="utf-8")
 
 
 def test_the_page_has_every_section_and_all_pictures_inside(tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_what_was_not_run_is_said(tmp_path: Path) -> None:
     run = run_of(tmp_path, findings)
     bare = replace(run, assessment=replace(run.assessment, budget=None), records={})
     write_assessment_report(tmp_path / "report.html", bare, tmp_path)
-    text = (tmp_path / "report.html").read_text()
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Perception was not run: no rest." in text
     assert "Picks were not run: no grasp." in text
     assert "<h2>Picks</h2>" not in text
@@ -113,7 +113,7 @@ def test_all_numbers_are_json_and_an_infinite_width_is_null(tmp_path: Path) -> N
 
     findings = changed("grip", least_width=float("inf"), grasps=0, widths=None, reason="no faces")
     save_assessment(tmp_path / "n.json", run_of(tmp_path, findings).assessment)
-    values = json.loads((tmp_path / "n.json").read_text())
+    values = json.loads((tmp_path / "n.json").read_text(encoding="utf-8"))
     assert values["grip"]["least_width"] is None
     assert values["advice"][0]["kind"] == "jaw"
     assert values["perception"]["ap"] == 0.95

@@ -112,7 +112,7 @@ def test_the_report_shows_the_worst_scenes_first(tmp_path: Path, edges: EdgeAppe
     summary = summarise_poses(config, scores, np.random.default_rng(0), 50)
     page = tmp_path / "report.html"
     write_pose_report(page, summary, scores, tmp_path, edges, 2)
-    text = page.read_text()
+    text = page.read_text(encoding="utf-8")
     assert [text.index(f"<h3>Scene {k} <span>") for k in (1, 2)] == sorted(
         text.index(f"<h3>Scene {k} ") for k in (1, 2)
     )

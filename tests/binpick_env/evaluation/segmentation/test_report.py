@@ -67,7 +67,7 @@ def test_the_report_shows_the_worst_scenes_first(tmp_path: Path, evaluated: tupl
     scores = [replace(score, ap=ap) for score, ap in zip(scores, (0.9, np.nan, 0.2), strict=True)]
     assert [score.index for score in worst_first(scores)] == [2, 0, 1]
     write_report(tmp_path / "report.html", summary_of(config, folder, 3), scores, folder, gallery=2)
-    text = (tmp_path / "report.html").read_text()
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert re.findall(r"<h3>Scene (\d+)", text) == ["2", "0"]
     assert "2 of 3 scenes." in text
     assert text.count("data:image/jpeg") == 2
@@ -83,12 +83,12 @@ def test_an_empty_bin_is_evaluated_and_shown(tmp_path: Path, config: EvaluationC
     assert np.isnan([summary.ap, *summary.intervals["ap"]]).all()
     assert "–" in segmentation_table(summary)
     write_report(tmp_path / "report.html", summary, load_scores(tmp_path, 1), tmp_path, 5)
-    assert "Scene 0" in (tmp_path / "report.html").read_text()
+    assert "Scene 0" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_settings_are_kept_as_json(tmp_path: Path, evaluated: tuple[Path, EvaluationConfig]) -> None:
     folder, config = evaluated
     save_summary(tmp_path / "n.json", summary_of(config, folder, 3))
-    kept = json.loads((tmp_path / "n.json").read_text())
+    kept = json.loads((tmp_path / "n.json").read_text(encoding="utf-8"))
     assert kept["config"]["method"]["weights"] == kept["weights"]["sha256"] == config.method.digest()
     assert kept["config"]["num_parts"] == [3, 4]
