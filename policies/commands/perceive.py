@@ -91,7 +91,8 @@ class Arguments:
     bop: Path | None = None  # CSV file of the verified poses in the results format of the BOP challenge
     bop_object: int = 1  # number of the part's model in the BOP data set
     bop_scene: int | None = None  # number of the scene in it; that of the folder SCENE/depth, or 1, unless given
-    # folder of a JSON and a PNG file for each frame; frames whose files are there are skipped;
+    # folder of a JSON and a PNG file for each frame; frames whose results are there are skipped,
+    # unless a file that they were read from changed;
     # runs/perceive-PART-FOLDER with --frames, otherwise none unless given
     out: Path | None = None
 

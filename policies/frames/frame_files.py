@@ -32,7 +32,7 @@ def frames_in(folder: Path, *, grey: str | None = None, calibration: Path | None
     parts_of_frames: set[Path] = set()
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() == ".json":
-            images = _images_of(path)
+            images = images_of_frame(path)
             if images is not None:
                 found.append(path)
                 parts_of_frames.update(images)
@@ -50,7 +50,7 @@ def frames_in(folder: Path, *, grey: str | None = None, calibration: Path | None
     return frames
 
 
-def _images_of(path: Path) -> set[Path] | None:
+def images_of_frame(path: Path) -> set[Path] | None:
     """Return the images that a JSON file of a frame names; None for a JSON file of something else."""
     try:
         content = json.loads(read_text(path))
@@ -58,4 +58,7 @@ def _images_of(path: Path) -> set[Path] | None:
         return set()
     if not (isinstance(content, dict) and set(content) >= _FRAME_KEYS):
         return None
-    return {path.with_name(str(content[key])).resolve() for key in ("depth", "grey")}
+    try:
+        return {path.with_name(str(content[key])).resolve() for key in ("depth", "grey")}
+    except ValueError:  # no name of a file beside it, which reading refuses
+        return set()

@@ -16,12 +16,14 @@ from perception.pipeline import Perception
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.provenance import command_line, git_commit, versions
 from perception.shape import shape_signature
+from policies.frames.frame_digests import changes, digests
 from policies.frames.frame_files import STEM
 from policies.frames.frame_perceiver import FramePerceiver, workspace_of_depth
 from policies.frames.frame_record import VERSION, FrameRecord, Values, frame_lines
 from policies.frames.grasp_finder import FrameGrasp, GraspFinder
 from policies.frames.overlay import draw_poses, save_picture
 
+INPUTS = "inputs"  # key of the digests of the files that a frame was read from
 OLDER = {"index": 0}  # options that configurations of older versions lack, as they were
 
 
@@ -48,8 +50,13 @@ class FrameSource:
         """Return the path of the grey image of a frame; None without one."""
         return None if self.grey is None else self.grey.replace(STEM, path.stem)
 
+    def digests(self, path: Path) -> dict[str, str | None]:
+        """Return the digests of the files that a frame is read from, by what they are."""
+        grey = self.grey_of(path)
+        return digests(path, None if grey is None else Path(grey), self.calibration)
+
     def values(self) -> Values:
-        """Return what the results depend on, as JSON values."""
+        """Return what the results depend on besides the contents of files, as JSON values."""
         return {
             "grey": self.grey,
             "calibration": None if self.calibration is None else str(self.calibration),
@@ -144,7 +151,7 @@ def perceive_frames(
     if job.out is not None:
         ensure_same_config(job.out / "config.json", _configuration(job, perceiver, finder), "poses", assumed=OLDER)
     for path in job.paths:
-        yield _stored(job, path) or _perceived(job, path, perceiver, finder)
+        yield _outcome(job, path, perceiver, finder)
 
 
 def save_records(path: Path, outcomes: Sequence[FrameOutcome]) -> None:
@@ -161,7 +168,31 @@ def save_records(path: Path, outcomes: Sequence[FrameOutcome]) -> None:
     write_atomically(path, json_text(values))
 
 
-def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver, finder: GraspFinder | None) -> FrameOutcome:
+def _outcome(job: FrameJob, path: Path, perceiver: FramePerceiver, finder: GraspFinder | None) -> FrameOutcome:
+    """Return the outcome of a frame: its results if they are there and of these files, otherwise new ones."""
+    # Before the frame is read: where a file changes meanwhile, the next call sees that it did.
+    inputs = job.source.digests(path) if job.out is not None else {}
+    values = _stored(job, path)
+    if values is None:
+        return _perceived(job, path, perceiver, finder, inputs)
+    changed = changes(values.get(INPUTS), inputs)
+    if changed is None:
+        found = sum(pose["verified"] for pose in values["poses"])
+        line = f"{path}: already there, {found} verified poses in {job.numbers(path)}"
+        return FrameOutcome(path=path, values={**values, "frame": str(path)}, lines=(line,), resumed=True)
+    again = _perceived(job, path, perceiver, finder, inputs)
+    if again.values is None:
+        return again
+    return replace(again, lines=(f"{path}: perceived again, since {changed}", *again.lines))
+
+
+def _perceived(
+    job: FrameJob,
+    path: Path,
+    perceiver: FramePerceiver,
+    finder: GraspFinder | None,
+    inputs: dict[str, str | None],
+) -> FrameOutcome:
     try:
         frame, reading = job.source.read(path)
         seen = perceiver.perceive(frame)
@@ -175,7 +206,8 @@ def _perceived(job: FrameJob, path: Path, perceiver: FramePerceiver, finder: Gra
     if picture is not None:
         for file in pictures:
             save_picture(picture, file)
-    outcome = FrameOutcome(path=path, values=record.values(), lines=tuple(frame_lines(record)), record=record)
+    values = {**record.values(), INPUTS: inputs} if inputs else record.values()
+    outcome = FrameOutcome(path=path, values=values, lines=tuple(frame_lines(record)), record=record)
     numbers = job.numbers(path)
     if numbers is not None:  # last: with it, the frame is finished
         save_records(numbers, [outcome])
@@ -188,22 +220,19 @@ def _grasps(frame: Frame, seen: Perception, finder: GraspFinder) -> list[FrameGr
     return finder.find(corrected, workspace, seen.poses)
 
 
-def _stored(job: FrameJob, path: Path) -> FrameOutcome | None:
-    """Return the outcome of a frame whose files are all there; None if one is missing or damaged."""
+def _stored(job: FrameJob, path: Path) -> Values | None:
+    """Return the record of a frame whose files are all there; None if one is missing or damaged."""
     numbers = job.numbers(path)
     if job.fresh or numbers is None or not all(file.exists() for file in (numbers, *job.pictures(path))):
         return None
     try:
         content: Any = json.loads(numbers.read_text(encoding="utf-8"))
         (values,) = content["frames"]
-        found = sum(pose["verified"] for pose in values["poses"])
+        sum(pose["verified"] for pose in values["poses"])
         values["part"]["origin_in_file"]  # which older files lack
     except (ValueError, KeyError, TypeError):
         return None
-    if content.get("version") != VERSION:
-        return None
-    line = f"{path}: already there, {found} verified poses in {numbers}"
-    return FrameOutcome(path=path, values=values, lines=(line,), resumed=True)
+    return values if content.get("version") == VERSION and isinstance(values, dict) else None
 
 
 def _configuration(job: FrameJob, perceiver: FramePerceiver, finder: GraspFinder | None) -> Values:

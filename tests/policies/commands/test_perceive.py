@@ -140,6 +140,26 @@ def test_a_folder_of_results_is_resumed_but_not_mixed(folder: Path) -> None:
     assert "holds poses of another configuration (scale: None there, 0.5 here)" in other.stderr
 
 
+def test_results_of_other_contents_are_not_taken(folder: Path) -> None:
+    write_frame(FRAME, folder / "cell.json")
+    call = ["cell.json", *IN_BIN, "--out", "found"]
+    assert run("perceive", *call, cwd=folder).returncode == 0
+    write_frame(EMPTY, folder / "new" / "cell.json")
+    (folder / "cell_depth.png").write_bytes((folder / "new" / "cell_depth.png").read_bytes())
+    again = run("perceive", *call, "--json", "all.json", cwd=folder)
+    assert "cell.json: perceived again, since image cell_depth.png changed since its results were wr" in again.stdout
+    assert [len(frame["poses"]) for frame in frames_in(folder / "all.json")] == [0]
+    assert "cell.json: already there" in run("perceive", *call, cwd=folder).stdout
+    other = run("perceive", "new/cell.json", *call[1:], cwd=folder)
+    assert "new/cell.json: perceived again, since image cell_grey.png changed" in other.stdout
+    results = folder / "found" / "cell_poses.json"
+    content = json.loads(results.read_text())
+    del content["frames"][0]["inputs"]  # as older versions wrote
+    results.write_text(json.dumps(content))
+    older = run("perceive", "new/cell.json", *call[1:], cwd=folder)
+    assert "perceived again, since its results do not say which files they are of" in older.stdout
+
+
 @pytest.mark.parametrize(
     ("options", "error"),
     [
