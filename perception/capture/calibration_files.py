@@ -11,9 +11,11 @@ import numpy as np
 from perception.capture.azure import azure_calibration, is_azure
 from perception.capture.calibration import Calibration, pose_from_world_to_camera
 from perception.capture.damage import decoding
+from perception.capture.lens import distortion_of
+from perception.capture.named_values import number_of, numbers_of
 from perception.capture.text_files import read_text
 from perception.capture.yaml_subset import parse_yaml
-from perception.geometry import Floats, as_floats
+from perception.geometry import as_floats
 
 # Lengths of units by their names [m].
 _METRES = {
@@ -23,7 +25,6 @@ _METRES = {
     **dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micrometre", "micrometres", "micrometer", "micrometers"), 1e-6),
 }
 _LENGTH = re.compile(r"\s*(?P<number>[+-]?[0-9.][0-9.eE+-]*)?\s*(?P<unit>[^\W\d_]*)\s*")
-MODELS = ("plumb_bob", "rational_polynomial", "brown_conrady", "opencv", "none", "")  # those of OpenCV's formula
 FORMATS = (
     "RealSense (fx, fy, ppx, ppy), Open3D (intrinsic_matrix), Azure Kinect (CalibrationInformation), "
     "BOP (cam_K or fx, fy, cx, cy), OpenCV FileStorage (camera_matrix), ROS CameraInfo (K or k)"
@@ -92,7 +93,7 @@ def calibration_of(values: Mapping[str, Any], name: str = "the calibration") -> 
         name: Name of the file, for messages.
 
     Raises:
-        ValueError: No camera matrix was found, or the lens model is unknown.
+        ValueError: No camera matrix was found, or what is stated of the lens is not understood.
     """
     K = _camera_matrix(values)
     if K is None:
@@ -101,56 +102,23 @@ def calibration_of(values: Mapping[str, Any], name: str = "the calibration") -> 
     if T_world_cam is None and "cam_R_w2c" in values and "cam_t_w2c" in values:  # BOP, millimetres
         T_world_cam = pose_from_world_to_camera(values["cam_R_w2c"], as_floats("cam_t_w2c", values["cam_t_w2c"]) / 1000)
     return Calibration(
-        K=K, distortion=_distortion(values, name), size=_size(values), depth_scale=_depth_scale(values),
+        K=K, distortion=distortion_of(values, name), size=_size(values), depth_scale=_depth_scale(values),
         T_world_cam=T_world_cam,
     )  # fmt: skip
 
 
-def _numbers(value: Any, key: str) -> Floats:
-    """Return a matrix that OpenCV or ROS wrote as its numbers, in a row."""
-    data: Any = value.get("data") if isinstance(value, Mapping) else value
-    return as_floats(key, data).reshape(-1)
-
-
 def _camera_matrix(values: Mapping[str, Any]) -> Any:
     for key in ("cam_K", "camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k"):
-        if values.get(key) is not None and np.size(numbers := _numbers(values[key], key)) == 9:
+        if values.get(key) is not None and np.size(numbers := numbers_of(values[key], key)) == 9:
             return numbers.reshape(3, 3)
     key = "intrinsic_matrix"
-    if values.get(key) is not None and np.size(numbers := _numbers(values[key], key)) == 9:
+    if values.get(key) is not None and np.size(numbers := numbers_of(values[key], key)) == 9:
         return numbers.reshape(3, 3).T  # Open3D writes columns
     across, down = ("ppx" if "ppx" in values else "cx"), ("ppy" if "ppy" in values else "cy")
     if any(values.get(key) is None for key in ("fx", "fy", across, down)):
         return None
-    fx, fy, cx, cy = (_number(values[key], key) for key in ("fx", "fy", across, down))
+    fx, fy, cx, cy = (number_of(values[key], key) for key in ("fx", "fy", across, down))
     return [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
-
-
-def _number(value: Any, key: str) -> float:
-    """Return a value as a number; text that is one counts."""
-    try:
-        if isinstance(value, bool):
-            raise TypeError
-        return float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{key} must be a number, got {value!r}") from None
-
-
-def _distortion(values: Mapping[str, Any], name: str) -> Any:
-    keys = ("distortion", "coeffs", "distortion_coefficients", "distCoeffs", "dist_coeffs", "Distortion_Coefficients")
-    found = next((values[key] for key in (*keys, "D", "d") if values.get(key) is not None), None)
-    if found is None and "k1" in values:
-        found = [values.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
-    coefficients = np.zeros(0) if found is None else _numbers(found, "distortion")
-    model = str(values.get("distortion_model", values.get("model", ""))).lower().rsplit(".", 1)[-1]
-    model = model.removeprefix("distortion_").replace(" ", "_")
-    if model not in MODELS and np.any(coefficients != 0):
-        raise ValueError(
-            f"{name} must have a lens model of OpenCV's formula ({', '.join(filter(None, MODELS))}), got {model!r} "
-            f"with coefficients {coefficients.tolist()}: let the camera's driver rectify the images, or calibrate with "
-            "OpenCV"
-        )
-    return coefficients
 
 
 def _size(values: Mapping[str, Any]) -> tuple[int, int] | None:
@@ -161,7 +129,7 @@ def _size(values: Mapping[str, Any]) -> tuple[int, int] | None:
 
 
 def _pixels(value: Any, key: str) -> int:
-    length = _number(value, key)
+    length = number_of(value, key)
     if not length.is_integer():
         raise ValueError(f"{key} must be a whole number of pixels, got {value!r}")
     return int(length)
@@ -178,7 +146,7 @@ def _depth_scale(values: Mapping[str, Any]) -> float | None:
         return None
     if isinstance(values[key], str) and (named := _named_length(values[key], key)) is not None:
         return named
-    scale = _number(values[key], key)
+    scale = number_of(values[key], key)
     if not 0 < scale < np.inf:
         raise ValueError(f"{key} must be positive and finite, got {values[key]!r}")
     if key != "depth_scale" or "ppx" in values:  # RealSense's SDK states metres
@@ -200,7 +168,7 @@ def _named_length(text: str, key: str) -> float | None:
         )
     if not unit:
         return None
-    length = _number(found["number"] or 1.0, key) * _METRES[unit]
+    length = number_of(found["number"] or 1.0, key) * _METRES[unit]
     if not 0 < length < np.inf:
         raise ValueError(f"{key} must be positive and finite, got {text!r}")
     return length
