@@ -25,6 +25,7 @@ _METRES = {
     **dict.fromkeys(("um", "\u00b5m", "\u03bcm", "micrometre", "micrometres", "micrometer", "micrometers"), 1e-6),
 }
 _LENGTH = re.compile(r"\s*(?P<number>[+-]?[0-9.][0-9.eE+-]*)?\s*(?P<unit>[^\W\d_]*)\s*")
+_MATRICES = ("cam_K", "camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k")  # names of a matrix row by row
 FORMATS = (
     "RealSense (fx, fy, ppx, ppy), Open3D (intrinsic_matrix), Azure Kinect (CalibrationInformation), "
     "BOP (cam_K or fx, fy, cx, cy), OpenCV FileStorage (camera_matrix), ROS CameraInfo (K or k)"
@@ -102,13 +103,18 @@ def calibration_of(values: Mapping[str, Any], name: str = "the calibration") -> 
     if T_world_cam is None and "cam_R_w2c" in values and "cam_t_w2c" in values:  # BOP, millimetres
         T_world_cam = pose_from_world_to_camera(values["cam_R_w2c"], as_floats("cam_t_w2c", values["cam_t_w2c"]) / 1000)
     return Calibration(
-        K=K, distortion=distortion_of(values, name), size=_size(values), depth_scale=_depth_scale(values),
+        K=K, distortion=distortion_of(values, name), size=_size(values), depth_scale=depth_scale_of(values),
         T_world_cam=T_world_cam,
     )  # fmt: skip
 
 
+def states_camera(values: Mapping[str, Any]) -> bool:
+    """Return whether values state a camera matrix, or part of one."""
+    return any(values.get(key) is not None for key in (*_MATRICES, "intrinsic_matrix", "fx", "fy"))
+
+
 def _camera_matrix(values: Mapping[str, Any]) -> Any:
-    for key in ("cam_K", "camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k"):
+    for key in _MATRICES:
         if values.get(key) is not None and np.size(numbers := numbers_of(values[key], key)) == 9:
             return numbers.reshape(3, 3)
     key = "intrinsic_matrix"
@@ -135,11 +141,17 @@ def _pixels(value: Any, key: str) -> int:
     return int(length)
 
 
-def _depth_scale(values: Mapping[str, Any]) -> float | None:
-    """Return the length of a unit of depth [m].
+def depth_scale_of(values: Mapping[str, Any]) -> float | None:
+    """Return the length of a unit of depth [m] that values state; None if they state none.
 
     ``depth_scale`` is the reciprocal in Open3D's files, and millimetres in BOP's. A unit by name, such as "mm" or
     "0.1 mm", says itself what it is.
+
+    Args:
+        values: Named values of one camera.
+
+    Raises:
+        ValueError: The unit is no positive length.
     """
     key = next((key for key in ("metres_per_unit", "depth_units", "depth_scale") if values.get(key) is not None), None)
     if key is None:

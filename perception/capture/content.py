@@ -8,18 +8,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.capture.calibration import Calibration
-from perception.capture.calibration_files import calibration_of
+from perception.capture.calibration import Calibration, require_pose
+from perception.capture.calibration_files import calibration_of, depth_scale_of, states_camera
 from perception.capture.cloud import Cloud
 from perception.capture.damage import decoding
 from perception.capture.images import grey_image, read_raw
 from perception.capture.pcd import read_pcd
 from perception.capture.ply import read_ply
 from perception.capture.text_files import read_text
+from perception.geometry import Floats
 from perception.runtime.array_files import load_npz
 
 POINT_KEYS = ("points", "xyz", "points_cam", "cloud")  # names of an organised cloud in an NPZ file
-GREY_KEYS = ("grey", "gray", "image", "color", "colour", "rgb")  # names of a grey or colour image in an NPZ file
+GREY_KEYS = (
+    "grey",
+    "gray",
+    "image",
+    "color",
+    "colour",
+    "rgb",
+    "colors",
+    "colours",
+)  # names of a grey or colour image in an NPZ file
+SMALL = 64  # arrays of an NPZ file that state a calibration have at most so many values
 
 TABLE_COLUMNS = (3, 4, 6)  # columns of a table of points: x, y and z, perhaps with an intensity, or a colour or normal
 
@@ -35,6 +46,7 @@ class Content:
         calibration: Calibration that the file holds; None if it holds none.
         depth_scale: Length of one unit of the depth [m] that the file states apart from its calibration; None if it
             states none.
+        T_world_cam: (4, 4) camera pose that the file states apart from a calibration; None if it states none.
     """
 
     depth: NDArray[np.generic] | None = None
@@ -42,6 +54,7 @@ class Content:
     grey: NDArray[np.uint8] | None = None
     calibration: Calibration | None = None
     depth_scale: float | None = None
+    T_world_cam: Floats | None = None
 
 
 def load_content(path: Path) -> Content:
@@ -94,23 +107,44 @@ def _require_no_table(raw: NDArray[np.generic], name: str) -> None:
 
 def _npz_content(path: Path) -> Content:
     arrays = load_npz(path)
-    calibration = None
-    if "K" in arrays:
-        named: dict[str, Any] = {key: arrays[key] for key in ("K", "distortion", "T_world_cam") if key in arrays}
-        calibration = Calibration(**named)
-    found = next((arrays[key] for key in GREY_KEYS if key in arrays), None)
-    if found is not None and found.ndim == 3:
-        found = found[:, :, :3][:, :, ::-1]  # arrays in Python are red first, images of OpenCV blue first
-    grey = None if found is None else grey_image(found, f"the image in {path.name}")
+    facts = {key: _plain(array) for key, array in arrays.items() if array.size <= SMALL and not _is_image(key)}
+    calibration = calibration_of(facts, path.name) if states_camera(facts) else None
+    pose = facts.get("T_world_cam")
+    stated: dict[str, Any] = {
+        "calibration": calibration,
+        "depth_scale": depth_scale_of(facts) if calibration is None else None,
+        "T_world_cam": require_pose("T_world_cam", pose) if calibration is None and pose is not None else None,
+    }
+    key = next((key for key in GREY_KEYS if key in arrays), None)
     if "depth" in arrays:
-        return Content(depth=arrays["depth"], grey=grey, calibration=calibration)
+        return Content(depth=arrays["depth"], grey=None if key is None else _grey(arrays[key], key, path), **stated)
     points = next((arrays[key] for key in POINT_KEYS if key in arrays), None)
     if points is None:
         raise ValueError(
             f"{path.name} must hold 'depth' (H, W), or points (H, W, 3) as one of {POINT_KEYS}, got {sorted(arrays)}"
         )
     points = points.astype(np.float64)
-    return Content(cloud=Cloud(points=points[None] if points.ndim == 2 else points), grey=grey, calibration=calibration)
+    if points.ndim == 3:
+        grey = None if key is None else _grey(arrays[key], key, path)
+        return Content(cloud=Cloud(points=points), grey=grey, **stated)
+    # Colours of points without a grid are projected with them.
+    of_points = None if key is None else _grey(arrays[key][None], key, path)
+    return Content(cloud=Cloud(points=points[None], grey=of_points), **stated)
+
+
+def _is_image(key: str) -> bool:
+    return key in ("depth", *POINT_KEYS, *GREY_KEYS)
+
+
+def _plain(array: NDArray[Any]) -> Any:
+    """Return an array as a list, or as a number or text if it holds one."""
+    return array.item() if array.size == 1 else array.tolist()
+
+
+def _grey(stored: NDArray[np.generic], key: str, path: Path) -> NDArray[np.uint8]:
+    if stored.ndim == 3:
+        stored = stored[:, :, :3][:, :, ::-1]  # arrays in Python are red first, images of OpenCV blue first
+    return grey_image(stored, f"the image {key} in {path.name}")
 
 
 def _json_content(path: Path) -> Content:

@@ -54,8 +54,8 @@ def distortion_of(values: Mapping[str, Any], name: str) -> Floats:
         if not known and (single or _ABOUT_LENS.search(key)) and _says_something(value):
             raise ValueError(
                 f"{name} states {written!r}, which is about the lens and must have a known name: write the "
-                f"coefficients as distortion, in OpenCV's order {' '.join(_SINGLE)}, or let the camera's driver rectify the images; "
-                f"got {value!r}"
+                f"coefficients as distortion, in OpenCV's order {' '.join(_SINGLE)}, or let the camera's driver "
+                f"rectify the images; got {value!r}"
             )
     return coefficients
 

@@ -120,6 +120,8 @@ def frame_of_content(
         if content.cloud is not None
         else _from_depth(content, camera, options, name)
     )
+    if T_world_cam is None and (camera is None or camera.T_world_cam is None):
+        T_world_cam = content.T_world_cam
     if T_world_cam is not None:
         frame = replace(frame, T_world_cam=T_world_cam)
     if options.crop is not None:
