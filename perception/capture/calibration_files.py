@@ -10,7 +10,7 @@ import numpy as np
 
 from perception.capture.azure import azure_calibration, is_azure
 from perception.capture.calibration import Calibration, pose_from_world_to_camera
-from perception.capture.damage import decoding
+from perception.capture.damage import decoding, require_file
 from perception.capture.lens import distortion_of
 from perception.capture.named_values import number_of, numbers_of
 from perception.capture.text_files import read_text
@@ -44,9 +44,11 @@ def read_calibration(
 
     Raises:
         FileNotFoundError: There is no such file.
+        IsADirectoryError: It is a folder.
         ValueError: The file is none of these formats, or its lens model cannot be removed.
     """
     path = Path(path)
+    require_file(path, "calibration")
     with decoding(path):
         return _decoded(path, image_id, size)
 

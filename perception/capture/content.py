@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from perception.capture.calibration import Calibration, require_pose
 from perception.capture.calibration_files import calibration_of, depth_scale_of, states_camera
 from perception.capture.cloud import Cloud
-from perception.capture.damage import decoding
+from perception.capture.damage import decoding, require_file
 from perception.capture.images import grey_image, read_raw
 from perception.capture.pcd import read_pcd
 from perception.capture.ply import read_ply
@@ -65,8 +65,10 @@ def load_content(path: Path) -> Content:
 
     Raises:
         FileNotFoundError: There is no such file.
+        IsADirectoryError: It is a folder.
         ValueError: The content is not what its suffix says.
     """
+    require_file(path)
     with decoding(path):
         return _decoded(path, path.suffix.lower())
 

@@ -8,6 +8,29 @@ from pathlib import Path
 import numpy as np
 
 
+def require_file(path: Path, what: str = "frame") -> None:
+    """Check that a path is a file.
+
+    Args:
+        path: Path of the file.
+        what: What it should hold, for messages.
+
+    Raises:
+        FileNotFoundError: There is nothing, or a link to nothing.
+        IsADirectoryError: It is a folder.
+    """
+    if path.is_dir():
+        recording = ", or the folder of a ROS 2 bag with its metadata.yaml" if what == "frame" else ""
+        raise IsADirectoryError(
+            f"a {what} must be a file{recording}, got the folder {path}: name the files in it"
+            + (" (--frames FOLDER on the command line)" if what == "frame" else "")
+        )
+    if path.is_symlink() and not path.exists():
+        raise FileNotFoundError(f"a {what} must be a file, got {path}, a link to {path.readlink()}, which is missing")
+    if not path.exists():
+        raise FileNotFoundError(f"there is no {what} {path}")
+
+
 @contextmanager
 def decoding(path: Path) -> Iterator[None]:
     """Turn what goes wrong while a file is decoded into a ``ValueError`` that names it.

@@ -57,12 +57,16 @@ def fit_pinhole(points_cam: Floats) -> PinholeFit:
 
 
 def residual_of(K: Floats, points_cam: Floats) -> float:
-    """Return the root mean square distance [px] between pixels and projections of an organised cloud.
+    """Return the root mean square distance [px] between pixels and projections of an organised cloud; 0 if it is empty.
+
+    It is infinite if all points lie behind the camera.
 
     Args:
         K: (3, 3) camera matrix [px].
         points_cam: (H, W, 3) organised cloud in the camera frame.
     """
+    if not measured(points_cam).any():
+        return 0.0
     pixels, points = _pairs(points_cam)
     front = points[:, 2] > NEAR
     if not front.any():
@@ -92,7 +96,7 @@ def _pairs(points_cam: Floats) -> tuple[Floats, Floats]:
     """Return the (N, 2) pixels and the (N, 3) points of what was measured, thinned evenly to at most `SAMPLES`."""
     v, u = np.nonzero(measured(points_cam))
     if len(u) == 0:
-        raise ValueError("an organised cloud must hold measured points, got none")
+        raise ValueError("an organised cloud must hold measured points, got none: state K to read it as empty")
     every = -(-len(u) // SAMPLES)
     v, u = v[::every], u[::every]
     return np.column_stack([u, v]).astype(np.float64), points_cam[v, u]

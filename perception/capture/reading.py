@@ -12,7 +12,7 @@ from perception.capture.calibration import Calibration, require_pose
 from perception.capture.calibration_files import read_calibration
 from perception.capture.cloud_frame import images_of_cloud
 from perception.capture.content import Content, load_content
-from perception.capture.damage import decoding
+from perception.capture.damage import decoding, require_file
 from perception.capture.frame_edits import crop_frame, turn_frame
 from perception.capture.images import grey_image, metres, read_raw
 from perception.capture.options import ReadOptions, ReadReport
@@ -52,6 +52,7 @@ def read_frame(
 
     Raises:
         FileNotFoundError: A file does not exist.
+        IsADirectoryError: A file is a folder, and no recording.
         ValueError: A file is damaged, or the files do not fit together; the message says what to do.
     """
     frame, report = read_frame_with_report(
@@ -80,6 +81,7 @@ def read_frame_with_report(
 
     Raises:
         FileNotFoundError: A file does not exist.
+        IsADirectoryError: A file is a folder, and no recording.
         ValueError: A file is damaged, or the files do not fit together; the message says what to do.
     """
     path, options = Path(path), options or ReadOptions()
@@ -87,6 +89,7 @@ def read_frame_with_report(
     if options.grid is not None and content.cloud is not None:
         content = replace(content, cloud=content.cloud.in_grid(*options.grid))
     if grey is not None:
+        require_file(Path(grey), "grey image")
         with decoding(Path(grey)):
             image = grey_image(read_raw(Path(grey)), f"the grey image {Path(grey).name}")
         content = replace(content, grey=image)

@@ -16,6 +16,7 @@ from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
     from perception.frame import Workspace
+    from perception.geometry import Floats
     from perception.part import PartModel
     from policies.frames import BinSettings, FrameJob, FrameOutcome, FrameRecord, FrameSource, GraspFinder
 
@@ -167,24 +168,42 @@ class Arguments:
         size = np.array(self.bin) if find and self.bin is not None else None
         return BinSettings(measure=self.measure_bin, trust=self.trust, find=find, inner_size=size)
 
-    def finder(self, part: "PartModel", workspace: "Workspace | None") -> "GraspFinder | None":
-        """Return the search for grasps; None without one.
+    def base_pose(self) -> "Floats | None":
+        """Return the (4, 4) pose of the robot's base in the world; None without a robot.
 
         Raises:
             FileNotFoundError: The file of the base's pose does not exist.
+            ValueError: An option of grasps has no meaning.
+        """
+        from policies.frames import parse_pose
+
+        if not self.grasps and (self.jaw is not None or self.robot_base is not None):
+            raise ValueError("--jaw and --robot-base are about grasps: give --grasps, too")
+        if self.robot_base is None:
+            return None
+        if self.bin_pose is None:
+            raise ValueError("the reach of a robot needs a bin: give --bin and --bin-pose, or leave out --robot-base")
+        return parse_pose(self.robot_base, "T_world_base")
+
+    def finder(
+        self, part: "PartModel", workspace: "Workspace | None", T_world_base: "Floats | None"
+    ) -> "GraspFinder | None":
+        """Return the search for grasps; None without one.
+
+        Args:
+            part: Part to grip.
+            workspace: The bin; None if it is not known beforehand.
+            T_world_base: Pose of :meth:`base_pose`.
+
+        Raises:
             ValueError: An option has no meaning, or there is no grasp on the part.
         """
-        from policies.frames import GraspFinder, Reach, parse_pose
+        from policies.frames import GraspFinder, Reach
 
         if not self.grasps:
-            if self.jaw is not None or self.robot_base is not None:
-                raise ValueError("--jaw and --robot-base are about grasps: give --grasps, too")
             return None
-        if self.robot_base is None:
+        if T_world_base is None or workspace is None:
             return GraspFinder(part, jaw=self.jaw)
-        if workspace is None:
-            raise ValueError("the reach of a robot needs a bin: give --bin and --bin-pose, or leave out --robot-base")
-        T_world_base = parse_pose(self.robot_base, "T_world_base")
         return GraspFinder(part, jaw=self.jaw, reach=Reach(T_world_base, workspace, self.jaw))
 
     def source(self) -> "FrameSource":
@@ -278,7 +297,7 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
 
     if args.rerun is not None:
         check_recording(args.rerun)
-    job, workspace = args.job(), args.workspace()
+    job, workspace, T_world_base = args.job(), args.workspace(), args.base_pose()
     job.require_files()
     names = BopNames(obj_id=args.bop_object, scene_id=args.bop_scene)
     if args.bop is not None:
@@ -288,7 +307,7 @@ def _perceive(args: Arguments, outcomes: list["FrameOutcome"]) -> str | None:
     perceiver = FramePerceiver(
         part.model, workspace, origin_in_file=origin, bin=args.bin_settings(), network=args.network
     )
-    finder = args.finder(part.model, workspace)
+    finder = args.finder(part.model, workspace, T_world_base)
     with (
         _recording(args.rerun) as record,
         _quiet_causes(),

@@ -1,5 +1,6 @@
 """What was found in a frame, as JSON values and as text."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -141,14 +142,19 @@ def _rows(poses: Sequence[tuple[PoseEstimate, bool]]) -> list[tuple[str, ...]]:
     return [
         (
             str(k),
-            number(pose.score, 3),
-            number(pose.surface_score, 3),
+            number(_rounded_down(pose.score), 3),
+            number(_rounded_down(pose.surface_score), 3),
             percent(pose.visible_fraction),
             *(number(1000 * float(value), 1) for value in pose.T_cam_part[:3, 3]),
             "yes" if verified else "no",
         )
         for k, (pose, verified) in enumerate(poses, start=1)
     ]
+
+
+def _rounded_down(score: float) -> float:
+    """Return a score in thousandths, so that none below the bound of verified poses is printed as the bound."""
+    return math.floor(1000 * score + 1e-9) / 1000
 
 
 def _grasp_lines(record: FrameRecord, grasps: Sequence[FrameGrasp]) -> list[str]:

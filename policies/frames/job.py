@@ -10,6 +10,7 @@ import cv2
 
 from binpick_env.jobs.folder_config import ensure_same_config
 from perception.capture import ReadOptions, ReadReport, read_frame_with_report
+from perception.capture.damage import require_file
 from perception.frame import Frame
 from perception.geometry import Floats
 from perception.pipeline import Perception
@@ -102,7 +103,7 @@ class FrameJob:
             FileNotFoundError: None of the frames exists, or none of their grey images.
         """
         if not any(path.exists() for path in self.paths):
-            raise FileNotFoundError(f"there is no frame {self.paths[0]}")
+            require_file(self.paths[0])
         greys = [Path(grey) for grey in map(self.source.grey_of, self.paths) if grey is not None]
         if greys and not any(grey.exists() for grey in greys):
             raise FileNotFoundError(f"there is no grey image {greys[0]}: check --grey")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import perception.capture
-from perception.capture import read_calibration
+from perception.capture import read_calibration, read_frame
 from perception.capture.content import load_content
 from perception.capture.damage import decoding
 from tests.perception.capture.camera_files import HEIGHT, WIDTH, K, pcd_header, scene_depth, scene_points, written
@@ -103,3 +103,27 @@ def test_an_error_of_the_system_that_a_decoder_runs_into_names_the_file(tmp_path
         raise OSError(22, "Invalid argument")
     with pytest.raises(FileNotFoundError), decoding(tmp_path / "scan.npz"):
         (tmp_path / "scan.npz").read_bytes()
+
+
+@pytest.mark.parametrize("name", ["cell", "cell.png"])
+def test_a_folder_or_a_link_to_nothing_is_no_frame(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    (tmp_path / "link.png").symlink_to("gone.png")
+    (tmp_path / "K.json").write_text('{"K": [[9, 0, 1], [0, 9, 1], [0, 0, 1]]}')
+    np.save(tmp_path / "a.npy", np.ones((4, 4), np.float32))
+    with pytest.raises(
+        IsADirectoryError, match=r"a frame must be a file, or the folder of a ROS 2 bag .* got the folde"
+    ):
+        read_frame(tmp_path / name)
+    with pytest.raises(
+        FileNotFoundError, match=r"a frame must be a file, got .*link\.png, a link to gone\.png, which is"
+    ):
+        read_frame(tmp_path / "link.png")
+    with pytest.raises(FileNotFoundError, match=r"there is no frame .*lost\.png"):
+        read_frame(tmp_path / "lost.png")
+    with pytest.raises(
+        IsADirectoryError, match=r"a calibration must be a file, got the folder .*: name the files in it$"
+    ):
+        read_frame(tmp_path / "a.npy", calibration=tmp_path / name)
+    with pytest.raises(IsADirectoryError, match="a grey image must be a file, got the folder"):
+        read_frame(tmp_path / "a.npy", grey=tmp_path / name, calibration=tmp_path / "K.json")

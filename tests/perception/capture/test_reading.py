@@ -270,3 +270,13 @@ def test_a_camera_matrix_that_is_none_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.ones((4, 6), np.float32))
     with pytest.raises(ValueError, match=r"K must be an array of numbers, got \{'fx': 600\}"):
         read_frame(tmp_path / "a.npy", calibration={"fx": 600})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("nothing", [np.nan, 0.0])
+def test_an_organised_cloud_without_measurements_is_an_empty_frame(tmp_path: Path, nothing: float) -> None:
+    np.savez(tmp_path / "a.npz", points=np.full((HEIGHT, WIDTH, 3), nothing))
+    frame, report = read_frame_with_report(tmp_path / "a.npz", calibration=K)
+    assert (report.source, report.measured_fraction, report.K_residual) == ("organised cloud", 0.0, 0.0)
+    assert not frame.valid.any()
+    with pytest.raises(ValueError, match="must hold measured points, got none: state K to read it as empty"):
+        read_frame(tmp_path / "a.npz")

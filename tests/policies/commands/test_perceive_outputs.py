@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+import binpick_env.parts
 from perception.capture import write_frame
 from perception.frame import Frame
 from perception.geometry import make_transform
@@ -45,9 +46,16 @@ def test_grasps_are_printed_and_written(folder: Path, monkeypatch: pytest.Monkey
     [
         ([*IN_BIN, "--jaw", "0.05"], "--jaw and --robot-base are about grasps: give --grasps, too"),
         (["--part", "ell.stl", "--no-bin", "--grasps", "--robot-base", *POSE], "the reach of a robot needs a bin"),
+        (
+            [*IN_BIN, "--grasps", "--robot-base", "lost.json"],
+            "16 numbers row by row (--robot-base on the command line)",
+        ),
     ],
 )
-def test_options_of_grasps_without_a_meaning_are_refused(options: list[str], error: str, folder: Path) -> None:
+def test_options_of_grasps_without_a_meaning_are_refused_before_the_part_is_loaded(
+    options: list[str], error: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(binpick_env.parts, "load_part", lambda *_, **__: pytest.fail("loaded"), raising=False)
     done = run("perceive", "full.npz", *options, cwd=folder)
     assert done.returncode == 2
     assert error in done.stderr
