@@ -12,6 +12,10 @@ from perception.geometry import Floats
 _LAG = 3  # distance of the depths whose second difference tells the noise [px]
 _LINES = 100  # number of rows and columns that noise is measured in
 _MEDIAN = 0.6745  # median absolute value of a standard normal number
+_FEWEST_SHARE = 0.01  # share of the depths with a second difference below which another distance is tried
+_STEP_SAMPLES = 4096  # number of depths that tell the step of rounded ones
+_FEWEST_LEVELS = 8  # number of different depths with which these are no few flat faces
+_LEAST_STEP = 1e-5  # step below which depths count as not rounded, as a share of their median
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,23 +94,72 @@ def depth_noise(depth: NDArray[np.float32], lag: int = _LAG) -> float:
     Args:
         depth: (H, W) depth [m], 0 where there is no measurement.
         lag: Distance of the depths whose second difference is taken [px]. Where the errors of neighbours are alike, a
-            larger one tells more of the noise, but curved surfaces count more, too.
+            larger one tells more of the noise, but curved surfaces count more, too. Where columns are missing
+            regularly, so that hardly any depths have this distance, the nearest one that more of them have is taken.
     """
+    second = _second_differences(depth, lag)
+    fewest = _FEWEST_SHARE * np.count_nonzero(depth)
+    if len(second) < fewest:
+        for other in sorted(range(1, 2 * lag + 1), key=lambda each: abs(each - lag)):
+            more = _second_differences(depth, other)
+            if len(more) > len(second):
+                second = more
+            if len(second) >= fewest:
+                break
+    return float(np.median(second) / (_MEDIAN * np.sqrt(6.0))) if len(second) else 0.0
+
+
+def _second_differences(depth: NDArray[np.float32], lag: int) -> NDArray[np.float32]:
+    """Return the (N,) absolute second differences of depths ``lag`` pixels apart, as shares of the squared depths."""
     before, here, after = depth[:, : -2 * lag], depth[:, lag:-lag], depth[:, 2 * lag :]
     valid = (before > 0) & (here > 0) & (after > 0)
-    if not valid.any():
-        return 0.0
-    second = np.abs(before[valid] - 2 * here[valid] + after[valid]) / here[valid] ** 2
-    return float(np.median(second) / (_MEDIAN * np.sqrt(6.0)))
+    second: NDArray[np.float32] = np.abs(before[valid] - 2 * here[valid] + after[valid]) / here[valid] ** 2
+    return second
 
 
 def depth_std(depth: NDArray[np.float32], lag: int = _LAG) -> float:
     """Return the standard deviation of a depth image's noise at its median depth, in the unit of the depth.
 
-    It is 0 where too little is measured. The arguments are those of :func:`depth_noise`.
+    It is at least that of the rounding, where the depths are multiples of a step, and 0 where too little is measured.
+    The arguments are those of :func:`depth_noise`.
     """
     measured = depth[depth > 0]
-    return depth_noise(depth, lag) * float(np.median(measured)) ** 2 if len(measured) else 0.0
+    if len(measured) == 0:
+        return 0.0
+    # Steps are wider than the noise where most second differences are 0: then only the steps tell.
+    return max(depth_noise(depth, lag) * float(np.median(measured)) ** 2, depth_step(measured) / float(np.sqrt(12.0)))
+
+
+def depth_step(measured: NDArray[np.float32]) -> float:
+    """Return the step that depths are multiples of, in their unit; 0 if there is none, or it grows with the depth.
+
+    Args:
+        measured: (N,) depths.
+    """
+    some = measured[:: max(len(measured) // _STEP_SAMPLES, 1)]
+    levels = np.unique(some).astype(np.float64)
+    if len(levels) < _FEWEST_LEVELS:
+        return 0.0
+    rounding = 3 * float(np.finfo(np.float32).eps) * float(levels[-1])
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > rounding]
+    if len(gaps) + 1 < _FEWEST_LEVELS or gaps.min() < _LEAST_STEP * np.median(levels):
+        return 0.0
+    multiples = np.rint(gaps / gaps.min())
+    step = float(gaps.sum() / multiples.sum())
+    uneven = np.any(np.abs(gaps - step * multiples) > rounding)
+    return 0.0 if uneven or np.mean(multiples == 1) < 0.5 else step
+
+
+def sampled_rows(depth: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+    """Return every ``step``-th row of an (H, W) depth image, from the first row on with which any depth is measured.
+
+    Args:
+        depth: (H, W) depth, 0 where there is no measurement. Whole rows may be missing regularly.
+        step: Distance of the rows [px].
+    """
+    rows = (depth[first::step] for first in range(min(step, len(depth))))
+    return next((some for some in rows if some.any()), depth[::step])
 
 
 def _reach(noise: float, settings: DepthEdgeSettings) -> int:

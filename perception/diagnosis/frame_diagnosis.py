@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.boundary import BoundaryCloud, BoundarySettings, extract_boundary
-from perception.depth_edges import depth_std
+from perception.depth_edges import depth_std, sampled_rows
 from perception.diagnosis.geometry_causes import Setup, geometry_causes
 from perception.diagnosis.report import Cause, FrameReport, PoseCounts
 from perception.diagnosis.samples import DepthSamples
@@ -151,7 +151,7 @@ def _thickness(part: PartModel, depth: NDArray[np.float32], scale: float) -> lis
         depth: (H, W) depth.
         scale: Length of one unit of it [m].
     """
-    thickness, noise = part_thickness(part), depth_std(depth[::_NOISE_ROWS]) * scale
+    thickness, noise = part_thickness(part), depth_std(sampled_rows(depth, _NOISE_ROWS)) * scale
     if thickness >= LEAST_NOISES * noise:
         return []
     text = (

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from perception.boundary import BoundaryCloud
-from perception.depth_edges import depth_std
+from perception.depth_edges import depth_std, sampled_rows
 from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import Floats
 from perception.instance import Instance
@@ -299,7 +299,7 @@ class PoseEstimator:
             u0, v0, u1, v1 = bin_region(
                 self.workspace, frame.K, frame.T_world_cam, (u1, v1), margin=0.0, headroom=0.0
             ).tolist()
-        return depth_std(frame.depth[v0:v1:NOISE_ROWS, u0:u1], NOISE_LAG)
+        return depth_std(sampled_rows(frame.depth[v0:v1, u0:u1], NOISE_ROWS), NOISE_LAG)
 
     def _thinned_group(self, points: BoundaryCloud, index: BoundaryIndex, frame: Frame, noise: float) -> ObservedGroup:
         """Return boundary points, thinned like the model's, as the group that hypotheses have to explain."""

@@ -8,7 +8,7 @@ import pytest
 
 from perception import _depth_edge_kernels as kernels
 from perception.boundary import BoundarySettings, extract_boundary
-from perception.depth_edges import DepthEdgeSettings, depth_edges, depth_noise, depth_std
+from perception.depth_edges import DepthEdgeSettings, depth_edges, depth_noise, depth_std, depth_step, sampled_rows
 from perception.frame import Frame, Workspace
 from perception.geometry import camera_matrix, make_transform, rotation_about
 from tests.perception.flat_scene import FLOOR, K, Plate, bin_at, camera_over, flat, look
@@ -103,6 +103,35 @@ def test_the_noise_is_measured() -> None:
     assert depth_std(plane(noise=0.001), 8) == pytest.approx(0.001, rel=0.05)
     for measure in (depth_noise, depth_std):
         assert measure(np.zeros((5, 4), np.float32)) == 0.0
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+@pytest.mark.parametrize("step", [0.001, 0.003, 0.005])
+def test_rounded_depth_has_at_least_the_noise_of_its_rounding(step: float, unit: float) -> None:
+    slope = plane(noise=0.0003) + np.linspace(0, 0.15, 200, dtype=np.float32)[: plane().shape[1]]
+    rounded = (np.rint(slope / step) * step * unit).astype(np.float32)
+    assert depth_step(rounded.ravel()) == pytest.approx(step * unit, rel=1e-4)
+    for lag in (3, 8):
+        assert depth_std(rounded, lag) >= 0.99 * unit * step / np.sqrt(12)
+
+
+def test_steps_of_disparity_few_levels_and_plain_floats_are_no_rounding() -> None:
+    slope = plane(noise=0.0003) + np.linspace(0, 0.15, 200, dtype=np.float32)[: plane().shape[1]]
+    disparity = (40 / np.rint(8 * 40 / slope) * 8).astype(np.float32)
+    stairs = (np.rint(slope / 0.05) * 0.05).astype(np.float32)
+    for depth in (slope, disparity, stairs, stairs[:0]):
+        assert depth_step(depth.ravel()) == 0.0
+
+
+@pytest.mark.parametrize("period", [2, 3, 4, 5])
+def test_the_noise_is_measured_though_rows_or_columns_are_missing(period: int) -> None:
+    depth = plane(noise=0.001)
+    for lag in (3, 8):
+        for kept in (np.arange(depth.shape[1]) % period == 1, np.arange(depth.shape[1]) % period != 1):
+            assert depth_std(np.where(kept, depth, 0), lag) == pytest.approx(0.001, rel=0.15)
+    rows = np.where(np.arange(len(depth))[:, None] % period == 1, depth, 0)
+    assert depth_std(sampled_rows(rows, 8), 8) == pytest.approx(0.001, rel=0.15)
+    assert np.array_equal(sampled_rows(depth, 8), depth[::8])
 
 
 def test_nothing_is_found_where_nothing_is_measured() -> None:
