@@ -122,7 +122,8 @@ def collect_points(cloud: GridCloud, state: BinState, edges: RimEdges | None, *,
         normal = tuple(float(sign) if j == axis else 0.0 for j in range(3))
         if edges is not None:
             found.append((EDGE + k, edges.points_cam[edges.sides == k], normal))  # type: ignore[arg-type]
-        near = between & (np.abs(beside[axis]) <= gate) & (sign * p[:, axis] > 0) & (beside[1 - axis] < -2 * gate)
+        aside = max(GATE, 3 * state.noise * _slant(state, axis, sign))
+        near = between & (np.abs(beside[axis]) <= aside) & (sign * p[:, axis] > 0) & (beside[1 - axis] < -2 * gate)
         if faces and np.count_nonzero(near) >= _FEWEST_ON_FACE:
             found.append((FACE + k, cloud.points_cam[near], normal))  # type: ignore[arg-type]
     found = [(kind, points[:: max(len(points) // _MOST, 1)], normal) for kind, points, normal in found]
@@ -150,6 +151,22 @@ def lowered(state: BinState, floor: float | None) -> BinState:
         return state
     T_cam_bin = state.T_cam_bin @ make_transform(translation=(0.0, 0.0, floor))
     return replace(state, T_cam_bin=T_cam_bin, lift=state.lift - floor)
+
+
+def _slant(state: BinState, axis: int, sign: int) -> float:
+    """Return how far the inner face of a wall seems to move along its normal where the depth is 1 too large or small.
+
+    A wall that is seen from above hardly moves, so that points farther off are those of parts beside it.
+
+    Args:
+        state: The bin as it is known so far.
+        axis: Axis of the wall's normal.
+        sign: Sign of the normal.
+    """
+    face = np.array([0.0, 0.0, state.size[2] / 2])
+    face[axis] = sign * state.size[axis] / 2
+    ray = face - invert_transform(state.T_cam_bin)[:3, 3]
+    return float(abs(ray[axis]) / np.linalg.norm(ray))
 
 
 def floor_height(points_bin: Floats, state: BinState) -> float | None:

@@ -38,6 +38,19 @@ def test_a_bin_is_found_though_its_pose_is_wrong(boxes: list[scene.Box], off: Fl
     np.testing.assert_allclose(fit.opening, scene.INNER[:2], atol=0.001)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("near", [True, False])
+def test_a_bin_is_found_by_its_edges_where_depth_noise_is_large(near: bool, seed: int) -> None:
+    """Points of parts beside a wall are not taken for its inner face."""
+    at = scene.view(noise=0.002)
+    frame = at.see(PILE, seed)
+    fit = find_bin(frame, scene.INNER, scene.workspace(at) if near else None)
+    away, turned = errors(fit, frame, at)
+    assert fit.reliable
+    assert away < 1000 * fit.translation_std
+    assert turned < 0.1
+
+
 def test_the_offset_is_that_of_the_believed_pose() -> None:
     frame = AT.off(AT.see(PILE), OFF)
     fit = find_bin(frame, scene.INNER, scene.workspace(AT))
