@@ -55,6 +55,29 @@ class ReadOptions:
             if not (_are(Integral, value) or (name == "image_id" and value is None)):
                 raise ValueError(f"{name} must be a whole number, got {value!r}")
 
+    def require_use(self, *, cloud: bool, recording: bool) -> None:
+        """Check that every option that was set has a meaning for a frame.
+
+        Args:
+            cloud: Whether the frame is a cloud rather than a depth image.
+            recording: Whether it is from a recording.
+
+        Raises:
+            ValueError: An option has none; the message names it.
+        """
+        about = {
+            "recordings": ("a file of one frame", not recording, ("index", "topic", "grey_topic")),
+            "clouds": ("a depth image", not cloud, ("axes", "grid", "project")),
+            "depth images": ("a cloud", cloud, ("missing",)),
+        }
+        for kind, (got, useless, names) in about.items():
+            for name in names if useless else ():
+                if getattr(self, name) != getattr(ReadOptions, name):
+                    raise ValueError(
+                        f"{name} (--{name.replace('_', '-')} on the command line) must come with {kind}, got {got}: "
+                        "leave it out"
+                    )
+
 
 def _are(kind: type, *values: object) -> bool:
     """Return whether all values are numbers of a kind; truth values are none."""

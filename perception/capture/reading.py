@@ -86,6 +86,7 @@ def read_frame_with_report(
     """
     path, options = Path(path), options or ReadOptions()
     content = _recorded(path, options, calibrated=calibration is None) if is_recording(path) else load_content(path)
+    options.require_use(cloud=content.cloud is not None, recording=is_recording(path))
     if options.grid is not None and content.cloud is not None:
         content = replace(content, cloud=content.cloud.in_grid(*options.grid))
     if grey is not None:

@@ -280,3 +280,25 @@ def test_an_organised_cloud_without_measurements_is_an_empty_frame(tmp_path: Pat
     assert not frame.valid.any()
     with pytest.raises(ValueError, match="must hold measured points, got none: state K to read it as empty"):
         read_frame(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "text"),
+    [
+        (
+            "depth.npy",
+            {"axes": "opengl"},
+            r"axes \(--axes on the command line\) must come with clouds, got a depth image",
+        ),
+        ("depth.npy", {"grid": (8, 6)}, r"grid \(--grid .* must come with clouds, got a depth image: leave it out"),
+        ("depth.npy", {"project": True}, r"project \(--project .* must come with clouds, got a depth image"),
+        ("depth.npy", {"index": 3}, r"index \(--index .* must come with recordings, got a file of one frame"),
+        ("depth.npy", {"topic": "/d"}, r"topic \(--topic .* must come with recordings, got a file of one frame"),
+        ("cloud.npy", {"grey_topic": "/g"}, r"grey_topic \(--grey-topic .* must come with recordings, got a file of"),
+        ("cloud.npy", {"missing": (9.0,)}, r"missing \(--missing .* must come with depth images, got a cloud"),
+    ],
+)
+def test_options_that_cannot_apply_are_refused(tmp_path: Path, name: str, changes: dict[str, Any], text: str) -> None:
+    np.save(tmp_path / name, scene_points() if name == "cloud.npy" else scene_depth())
+    with pytest.raises(ValueError, match=text):
+        read_frame(tmp_path / name, calibration=K, options=ReadOptions(**changes))
