@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from perception.boundary import BoundaryCloud, BoundarySettings, extract_boundary
 from perception.depth_edges import depth_std, sampled_rows
+from perception.diagnosis.depth_causes import noise_cause, sparse_cause
 from perception.diagnosis.geometry_causes import Setup, geometry_causes
 from perception.diagnosis.report import Cause, FrameReport, PoseCounts
 from perception.diagnosis.samples import DepthSamples
@@ -71,12 +72,16 @@ def diagnose(
     sound = not causes
     if samples.missing is not None:
         causes.append(_missing_depth(samples))
+    if sound:
+        causes += sparse_cause(whole, poses)
     if boundary.source != "depth" or (frame.grey.any() and not frame.has_grey):  # without any, nothing is exposed
         causes += _exposure(grey if grey.size else frame.grey[::8, ::8])
     measured = depth[samples.measured(depth)]
     measured = measured if len(measured) else samples.depth[samples.measured(samples.depth)]
     pixels = _part_pixels(setup, part, measured)
     causes += _thickness(part, whole, setup.scale) + _resolution(pixels, len(boundary))
+    if sound:
+        causes += noise_cause(whole, setup.scale, part.d_max, poses)
     view = 1.0
     if sound:
         fit = setup.fit(samples)
