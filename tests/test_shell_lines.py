@@ -45,6 +45,7 @@ ELSEWHERE = {  # other shell lines, and what runs them
     "make setup": "every other target needs it",
     "make test": ".ci/run calls it",
     "make test-fast": "a part of `make test`",
+    "make test-newest": "the same tests in an environment of its own, by hand",
     "make lint type": ".ci/run calls both",
     "make docs": "tests/test_site.py builds the site by the same command",
     "python -m pip install -e .[report]": "`make setup` installs all extras",

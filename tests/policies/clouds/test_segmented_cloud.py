@@ -79,7 +79,7 @@ def test_the_unit_and_the_axes_of_the_file(cloud_file: Path) -> None:
 
 
 def test_parts_too_small_to_count_have_no_ap(cloud_file: Path) -> None:
-    cloud_file.write_text("\n".join(cloud_file.read_text().splitlines()[::20]))
+    cloud_file.write_text("\n".join(cloud_file.read_text(encoding="utf-8").splitlines()[::20]))
     loaded = read_points(cloud_file)
     source = CloudSource(path=cloud_file, d_max=D_MAX)
     cloud = SegmentedCloud(source=source, loaded=loaded, points_cam=loaded.points, instances=[], ap=None, ms=1.0)
@@ -98,7 +98,7 @@ def test_the_command_writes_labels_and_a_page(
     assert "AP50" in printed
     labels = read_points(out / "labels.txt")
     np.testing.assert_allclose(labels.points, SCENE.boundary.points_cam, rtol=1e-6)
-    page = (out / "report.html").read_text()
+    page = (out / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png") == 6  # three views of the instances and of the file's labels
     assert "http" not in page
 

@@ -124,8 +124,10 @@ def test_the_command_prints_the_table_and_writes_numbers_and_page(
     files = ["--json", str(tmp_path / "c.json"), "--html", str(tmp_path / "c.html")]
     assert compare.main([*runs, *files]) == 0
     assert "GSR, grasp success [%]" in capsys.readouterr().out
-    assert json.loads((tmp_path / "c.json").read_text())["numbers"]["dr"]["difference"] == pytest.approx(0.05)
-    assert "<td class=n>+5.0</td>" in (tmp_path / "c.html").read_text()
+    assert json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))["numbers"]["dr"][
+        "difference"
+    ] == pytest.approx(0.05)
+    assert "<td class=n>+5.0</td>" in (tmp_path / "c.html").read_text(encoding="utf-8")
     assert compare.main([runs[0], str(tmp_path)]) == 2
     assert "is no folder of `binpick pick`" in capsys.readouterr().err
 
@@ -134,7 +136,7 @@ def test_the_command_prints_the_table_and_writes_numbers_and_page(
 def test_a_configuration_of_other_types_is_refused(name: str, value: object, save: Save) -> None:
     folder = save("a", (1, 1))
     path = folder / "config.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | {name: value}))
     with pytest.raises(ComparisonError, match=r"config\.json is damaged: its hash must be text, and its config"):
         load_run(folder)
 
@@ -143,6 +145,6 @@ def test_a_configuration_of_other_types_is_refused(name: str, value: object, sav
 def test_a_record_of_other_types_is_refused(name: str, value: object, save: Save) -> None:
     folder = save("a", (1, 1))
     path = record_path(folder, 0)
-    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | {name: value}))
     with pytest.raises(RecordError, match=rf"does not hold a complete bin record \({name} must be "):
         load_run(folder)

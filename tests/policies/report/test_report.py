@@ -76,7 +76,7 @@ def report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str
         records = [BinRecord.from_result(bin_result(*picks, parts=100), names, seen, **common, **facts)]
         summary = summarise(records, config, np.random.default_rng(0))
         write_report(tmp_path / "report.html", summary, records, tmp_path / "pictures")
-        return (tmp_path / "report.html").read_text()
+        return (tmp_path / "report.html").read_text(encoding="utf-8")
 
     return write
 
