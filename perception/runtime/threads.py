@@ -140,7 +140,7 @@ def _keep_from_numba(torch: Any) -> None:
     """
     from numba.np.ufunc import parallel  # numba takes long to load, as torch does
 
-    start = parallel._launch_threads
+    start: Callable[[], None] = parallel._launch_threads
     if getattr(start, "keeps_torch", False):
         return
 
