@@ -9,9 +9,8 @@ from perception.depth_edges import depth_std, sampled_rows
 from perception.diagnosis.depth_causes import noise_cause, sparse_cause
 from perception.diagnosis.geometry_causes import Setup, geometry_causes
 from perception.diagnosis.report import Cause, FrameReport, PoseCounts
-from perception.diagnosis.samples import DepthSamples
+from perception.diagnosis.samples import DepthSamples, grid_step
 from perception.frame import Frame, Workspace, bin_region
-from perception.geometry import sampling_step
 from perception.part import PartModel
 from perception.thickness import part_boundary, part_thickness
 
@@ -59,7 +58,7 @@ def diagnose(
         workspace, frame.K, frame.T_world_cam, samples.size, margin=0.0, headroom=BoundarySettings().headroom
     ).tolist()
     whole = frame.depth[v0:v1, u0:u1]
-    step = sampling_step(whole.size, _REGION_SAMPLES)
+    step = grid_step(whole, _REGION_SAMPLES)
     depth, grey = whole[::step, ::step], frame.grey[v0:v1:step, u0:u1:step]
     found = cv2.countNonZero(whole) if whole.size else 0
     given = Setup(

@@ -65,7 +65,7 @@ class DepthSamples:
     def of(cls, frame: Frame) -> "DepthSamples":
         """Return the samples of a frame."""
         height, width = frame.depth.shape
-        step = sampling_step(width * height, _MOST)
+        step = grid_step(frame.depth, _MOST)
         depth = frame.depth[::step, ::step]
         missing = _odd_value(depth[depth > 0])
         share = 0.0 if missing is None else float(np.mean(depth == np.float32(missing)))
@@ -119,6 +119,15 @@ class DepthSamples:
         cv2.fillConvexPoly(image, np.rint(outline).astype(np.int32), 1)
         area = float(cv2.contourArea(outline))
         return image, min(np.count_nonzero(image) / max(area, 1.0), 1.0)
+
+
+def grid_step(depth: NDArray[np.float32], most: int) -> int:
+    """Return the distance of pixels with which an (H, W) depth image has about ``most`` samples [px].
+
+    It is one larger where the samples would lie on lines of the image that are missing regularly.
+    """
+    step = sampling_step(depth.size, most)
+    return step if depth[::step, ::step].any() else step + 1
 
 
 def _odd_value(depths: NDArray[np.float32]) -> float | None:

@@ -1,11 +1,15 @@
 """Noise and holes of the depth are named where they cost the poses, and nowhere else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from perception.diagnosis import diagnose
 from perception.diagnosis.depth_causes import few_found, noise_cause, sparse_cause
 from perception.diagnosis.report import PoseCounts
+from tests.perception.diagnosis import bin_scene as scene
 
 FEW = PoseCounts(groups=10, found=2, by_score=8)
 MANY = PoseCounts(groups=10, found=8, by_score=2)
@@ -66,3 +70,12 @@ def test_mostly_missing_depth_is_named_by_its_share() -> None:
 def test_without_groups_few_are_found() -> None:
     assert few_found(PoseCounts(groups=0, found=0))
     assert not few_found(None)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_missing_lines_that_fall_on_the_sampled_pixels_are_not_taken_for_no_depth(axis: int) -> None:
+    frame = scene.good()[0]
+    depth = np.where(np.indices(frame.depth.shape)[axis] % 2 == 1, frame.depth, 0).astype(np.float32)
+    report = diagnose(replace(frame, depth=depth), scene.BIN, scene.ELL, poses=FEW)
+    assert [cause.name for cause in report.causes] == ["sparse_depth"]
+    assert report.median_depth == pytest.approx(0.58, abs=0.05)
