@@ -1,4 +1,4 @@
-# Two commands are enough on a fresh machine with Python 3.11: `make pick` and `make test`.
+# Two commands are enough on a fresh machine with Python 3.11, 3.12 or 3.13: `make pick` and `make test`.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
 BIN := $(VENV)/bin

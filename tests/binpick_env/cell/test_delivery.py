@@ -74,7 +74,7 @@ def test_a_part_is_not_judged_before_it_rests(simulation: Simulation, judge: Del
 @pytest.mark.parametrize("count", [2, 5])
 def test_parts_that_come_together_are_no_delivery(simulation: Simulation, judge: DeliveryJudge, count: int) -> None:
     for i in range(count):
-        simulation.place(i, above_tray(simulation, 0.02 * (i % 2), 0.02 * (i // 2), 0.04 + 0.05 * i))
+        simulation.place(i, above_tray(simulation, 0.07 * (i % 3) - 0.07, 0.08 * (i // 3) - 0.04, 0.04))
     assert kinds(watch(judge, simulation, 4.0)) == dict.fromkeys(range(count), Delivery.DOUBLE)
     assert not simulation.in_play.any()
 
