@@ -100,7 +100,8 @@ def depth_noise(depth: NDArray[np.float32], lag: int = _LAG) -> float:
     second = _second_differences(depth, lag)
     fewest = _FEWEST_SHARE * np.count_nonzero(depth)
     if len(second) < fewest:
-        for other in sorted(range(1, 2 * lag + 1), key=lambda each: abs(each - lag)):
+        others = (each for each in range(1, 2 * lag + 1) if each != lag)
+        for other in sorted(others, key=lambda each: abs(each - lag)):
             more = _second_differences(depth, other)
             if len(more) > len(second):
                 second = more

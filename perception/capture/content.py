@@ -20,16 +20,8 @@ from perception.geometry import Floats
 from perception.runtime.array_files import load_npz
 
 POINT_KEYS = ("points", "xyz", "points_cam", "cloud")  # names of an organised cloud in an NPZ file
-GREY_KEYS = (
-    "grey",
-    "gray",
-    "image",
-    "color",
-    "colour",
-    "rgb",
-    "colors",
-    "colours",
-)  # names of a grey or colour image in an NPZ file
+# Names of a grey or colour image in an NPZ file.
+GREY_KEYS = ("grey", "gray", "image", "color", "colour", "rgb", "colors", "colours")
 SMALL = 64  # arrays of an NPZ file that state a calibration have at most so many values
 
 TABLE_COLUMNS = (3, 4, 6)  # columns of a table of points: x, y and z, perhaps with an intensity, or a colour or normal

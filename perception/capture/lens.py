@@ -14,12 +14,8 @@ MODELS = ("plumb_bob", "rational_polynomial", "brown_conrady", "radtan", "opencv
 PROJECTIONS = ("fisheye", "equi", "kannala", "ftheta", "f_theta", "omni", "stereographic", "double_sphere", "eucm")
 # Names in lower case without underscores, of which programs write several forms.
 _LISTS = ("distortion", "coeffs", "distortioncoefficients", "distcoeffs", "distortioncoeffs", "dist", "d")
-_MODELS = (
-    "distortionmodel",
-    "lensmodel",
-    "distortiontype",
-    "model",
-)  # the first one stated is that of the coefficients
+# The first of these that is stated is the model of the coefficients.
+_MODELS = ("distortionmodel", "lensmodel", "distortiontype", "model")
 _CAMERAS = ("cameramodel", "projectionmodel")  # they may name a camera, too
 _SINGLE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _ABOUT_LENS = re.compile(r"distort|fisheye|radial|tangential|^dist(?!ance)|^coef|^lens(?!$|name|id)")

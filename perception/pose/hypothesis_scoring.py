@@ -13,9 +13,9 @@ from perception.pose.model.appearances import EdgeAppearances
 from perception.pose.model.surface_models import SurfaceModel
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.confidence import confidence, error_penalty, mismatch_penalty
-from perception.pose.verification.expected_error import expected_error
+from perception.pose.verification.expected_error import ExpectedError, expected_error
 from perception.pose.verification.joint_refinement import refine_jointly
-from perception.pose.verification.mismatch import find_mismatch
+from perception.pose.verification.mismatch import Mismatch, find_mismatch
 from perception.pose.verification.perturbation import score_drop
 from perception.pose.verification.refinement import refine_edges, refine_surface
 from perception.pose.verification.same_surface import SameSurface
@@ -84,6 +84,7 @@ class HypothesisScorer:
         self._models = models
         self._group = group
         self._config = config
+        self._judged: dict[ScoredHypothesis, tuple[Mismatch, ExpectedError]] = {}  # the best one is asked for again
 
     def refine_coarsely(self, T_cam_part: Floats) -> ScoredHypothesis:
         """Refine a (4, 4) pose in few steps with few model points, and score the result with all of them."""
@@ -134,22 +135,19 @@ class HypothesisScorer:
             drop: Score drop of ``best``.
             instance_idx: Index of the group; -1 without groups.
         """
-        part, config, verdict = self._models.part, self._config, best.verdict
+        models, config, verdict = self._models, self._config, best.verdict
+        part = models.part
         poses = np.array([rival.T_cam_part for rival in rivals]).reshape(-1, 4, 4)
         alike = are_alike(best.T_cam_part, poses, part, config.clusters)
         logits = np.array([rival.logit for rival in rivals])
         margin = best.logit - float(logits[~alike].max(initial=-np.inf))
         # Only rivals that are nearly as good lower the score: most estimates have none, and nothing to compare.
         close = ~alike & (logits > best.logit - config.confidence.clear)
-        close[close] = ~self._models.same_surface.of(best.T_cam_part, poses[close])
+        close[close] = ~models.same_surface.of(best.T_cam_part, poses[close])
         elsewhere = best.logit - float(logits[close].max(initial=-np.inf))
         size = max(len(self._group.points_cam), 1)
-        mismatch = find_mismatch(best.T_cam_part, self._models.surface, self._group, config.verification)
+        mismatch, expected = self._judge(best)
         penalty = mismatch_penalty(mismatch, self._group.noise, config.confidence) - best.penalty
-        models = self._models
-        expected = expected_error(
-            best.T_cam_part, part.symmetry, models.edges, models.surface, self._group, config.joint_refinement
-        )
         turned = error_penalty(expected.rotation, config.confidence)
         return PoseEstimate(
             T_cam_part=best.T_cam_part,
@@ -165,6 +163,18 @@ class HypothesisScorer:
             noise=self._group.noise,
             expected_error=expected,
         )
+
+    def _judge(self, hypothesis: ScoredHypothesis) -> tuple[Mismatch, ExpectedError]:
+        """Return what of a hypothesis does not match, and its expected error, whatever its rivals are."""
+        if hypothesis not in self._judged:
+            models, group, config, T_cam_part = self._models, self._group, self._config, hypothesis.T_cam_part
+            self._judged[hypothesis] = (
+                find_mismatch(T_cam_part, models.surface, group, config.verification),
+                expected_error(
+                    T_cam_part, models.part.symmetry, models.edges, models.surface, group, config.joint_refinement
+                ),
+            )
+        return self._judged[hypothesis]
 
     def _scored(self, T_cam_part: Floats, *, final: bool) -> ScoredHypothesis:
         return ScoredHypothesis(T_cam_part=T_cam_part, verdict=self._verdict(T_cam_part), final=final)

@@ -229,8 +229,9 @@ def _stored(job: FrameJob, path: Path) -> Values | None:
     try:
         content: Any = json.loads(numbers.read_text(encoding="utf-8"))
         (values,) = content["frames"]
-        sum(pose["verified"] for pose in values["poses"])
-        values["part"]["origin_in_file"]  # which older files lack
+        for pose in values["poses"]:
+            pose["verified"]  # what a damaged file may lack, and an older one in the next line
+        values["part"]["origin_in_file"]
     except (ValueError, KeyError, TypeError):
         return None
     return values if content.get("version") == VERSION and isinstance(values, dict) else None

@@ -1,7 +1,7 @@
 """Pushes: closed fingertips press on a part from above and drag it to where there is room for a grasp."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
@@ -44,7 +44,7 @@ class PushSettings:
     depth: float = 0.025  # longest way down from where the part was observed; a leaning part gives way
 
     def __post_init__(self) -> None:
-        for name in ("travel", "room", "margin", "press_force", "stop_force", "above", "depth"):
+        for name in (field.name for field in fields(self) if field.name != "enabled"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 

@@ -22,9 +22,8 @@ class DoubleSettings:
     put_back: bool = False  # whether parts that are found to be more than one are put back into the bin
     jaw: bool = True  # whether the distance between the pads is a reason
     weight: bool = True  # whether the weight is a reason
-    jaw_tolerance: float = (
-        0.004  # distance between the pads beyond the grasp's from which there is more than a part [m]
-    )
+    # distance between the pads beyond the grasp's from which there is more than a part [m]
+    jaw_tolerance: float = 0.004
     readings: int = 8  # number of readings of the force, one a control period, that are averaged at the end of the lift
     force: WristForceNoise = field(default_factory=WristForceNoise)  # errors of the force sensor
     drop: float = 0.015  # height of the load above the pile at which it is let go [m]

@@ -4,6 +4,8 @@ Poses are (4, 4) ``T_cam_part``. A motion (6,) is a rotation vector about the pa
 translation [m].
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -214,27 +216,7 @@ def joint_equations(
 @njit(cache=True, nogil=True)
 def descend_jointly(
     T: Floats,
-    edge_points: Floats,
-    edge_tangents: Floats,
-    boundary: Floats,
-    boundary_tangents: Floats,
-    starts: NDArray[np.int64],
-    shape: tuple[int, int],
-    origin: Floats,
-    cell: float,
-    match_gate: float,
-    min_edge_cosine: float,
-    edge_gate: float,
-    edge_weight: float,
-    points: Floats,
-    normals: Floats,
-    visible: NDArray[np.bool_],
-    depth: Singles,
-    K: Floats,
-    surface_gate: float,
-    patch: int,
-    centre: Floats,
-    d_max: float,
+    seen: tuple[Any, ...],
     iterations: int,
     damping: float,
     observable: float,
@@ -242,36 +224,15 @@ def descend_jointly(
 ) -> tuple[Floats, int, bool, float, int]:
     """Minimise the squares of the distances of edges in the image, weighted, and of patches of the depth image.
 
-    The returned values are those of :func:`descend_edges`; the matches are those of both kinds.
+    ``seen`` holds the arguments of :func:`joint_equations` after the pose. The returned values are those of
+    :func:`descend_edges`; the matches are those of both kinds.
     """
+    centre, d_max = seen[-2], seen[-1]
     pivot, length = np.zeros(3), np.inf
     steps, settled = 0, False
     while True:
         # Matches and normal equations in the present pose.
-        hessian, gradient, total, weights, count = joint_equations(
-            T,
-            edge_points,
-            edge_tangents,
-            boundary,
-            boundary_tangents,
-            starts,
-            shape,
-            origin,
-            cell,
-            match_gate,
-            min_edge_cosine,
-            edge_gate,
-            edge_weight,
-            points,
-            normals,
-            visible,
-            depth,
-            K,
-            surface_gate,
-            patch,
-            centre,
-            d_max,
-        )
+        hessian, gradient, total, weights, count = joint_equations(T, *seen)
         if settled or steps == iterations or count < MIN_MATCHES:
             break
         # One step; its length is that of the motion as a share of d_max.

@@ -13,8 +13,8 @@ from perception.pose.verification.joint_refinement import JointRefinement, joint
 from perception.pose.verification.refinement import require_depth, require_pose
 from perception.pose.verification.verification import ObservedGroup
 
-# Errors of neighbouring samples are not independent: those of right poses in simulated scenes are this many times as
-# large as independent ones would be.
+# Errors of neighbouring samples are not independent: in stereo depth, those of right poses are this many times as large
+# as independent ones would be. BENCHMARK.md has the same for other sensors.
 CORRELATED = 4.5
 UNKNOWN = 1.0  # share of d_max that a motion may measure which nothing determines, as a standard deviation
 

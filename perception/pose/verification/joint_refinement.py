@@ -122,8 +122,7 @@ def refine_jointly(
     steps, settled, total, count, samples = 0, False, 0.0, 0, 0
     for share in config.edge_gates:
         view = joint_view(T, edges, surface, group, config, share)
-        arguments = (T, *view.arguments, *descent)
-        T, taken, settled, total, count = _descent_kernels.descend_jointly(*arguments)
+        T, taken, settled, total, count = _descent_kernels.descend_jointly(T, view.arguments, *descent)
         steps, samples = steps + taken, view.samples
     return refined_pose(T, total, count, steps, settled, config.min_matched * samples)
 
@@ -136,7 +135,16 @@ def joint_view(
     config: JointRefinement,
     edge_gate: float,
 ) -> JointView:
-    """Return what is matched with a frame in a (4, 4) pose, with edges up to a share of d_max off."""
+    """Return what is matched with a frame in a pose and in those near it.
+
+    Args:
+        T_cam_part: (4, 4) pose of the part in the camera frame.
+        edges: Edge points of the part by direction of view.
+        surface: Samples of the part's surface.
+        group: Boundary points and their frame.
+        config: Settings.
+        edge_gate: Largest distance of a match across the line of sight, as a share of d_max.
+    """
     frame, d_max = group.frame, surface.d_max
     # What a pixel measures across the line of sight, at the part's centre; its origin may be far away.
     depth = float(T_cam_part[2, :3] @ surface.centre + T_cam_part[2, 3])

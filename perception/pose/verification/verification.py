@@ -14,7 +14,9 @@ from perception.pose.verification.boundary_index import BoundaryIndex
 from perception.pose.verification.refinement import require_depth, require_pose, view_direction
 
 TOLERANCE = 3.0  # gap between two surfaces that agree, in standard deviations of the sensor's depth
-EDGE_TOLERANCE = 4.5  # depth of an edge that agrees, off by at most so many of them; its place in the image is exact
+# Distance along the line of sight at which an edge agrees, in units of the configuration's noise. In a noisy frame that
+# is two thirds of the depth's standard deviation, so that three of these are tolerated.
+EDGE_TOLERANCE = 4.5
 OCCLUSION_RADIUS = 2  # an edge point is occluded if everything measured within this window lies before it [px]
 
 
@@ -27,7 +29,8 @@ class VerificationConfig:
     probability that it is right.
 
     Attributes:
-        edge_distance: Largest distance between a model edge point and a boundary point, as a share of d_max.
+        edge_distance: Largest distance between a model edge point and a boundary point, as a share of d_max; along the
+            line of sight it may be more where the depth is noisy (`EDGE_TOLERANCE`).
         edge_angle: Largest angle between their tangents as lines [rad].
         surface_distance: Largest distance between the model's surface and the measured one, as a share of d_max.
         noise: Standard deviation of the sensor's depth; three of them are tolerated [m].

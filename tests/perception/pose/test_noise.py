@@ -7,6 +7,7 @@ import pytest
 
 from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import make_transform, rotation_about
+from perception.pose import hypothesis_scoring
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.verification.confidence import ConfidenceConfig
 from perception.pose.verification.verification import surface_tolerance
@@ -70,3 +71,18 @@ def test_gates_and_tolerances_follow_the_noise_up_to_a_share_of_the_part() -> No
     assert surface_tolerance(0.1, plain.verification) == pytest.approx(0.002)
     # A bin full of small round parts looks noisy: their curvature is not the sensor's.
     assert plain.at_noise(0.002, 0.01) == plain.at_noise(0.0005, 0.01)
+
+
+def test_a_hypothesis_is_judged_once_though_its_group_is_asked_several_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, judged = scene_of(ELL, POSE), []
+    find_mismatch = hypothesis_scoring.find_mismatch
+    monkeypatch.setattr(
+        hypothesis_scoring, "find_mismatch", lambda T, *others: judged.append(T.tobytes()) or find_mismatch(T, *others)
+    )
+    estimator = quick_estimator(ELL, EstimatorConfig())
+    (search,) = estimator.search_groups(scene.boundary, scene.groups(), scene.frame)
+    first, again = search.best(), search.best()
+    assert first is not None
+    assert again is not None
+    assert (first.score, first.mismatch, first.expected_error) == (again.score, again.mismatch, again.expected_error)
+    assert len(judged) == len(set(judged)) > 0

@@ -106,10 +106,6 @@ def test_it_does_not_depend_on_the_direction_of_the_camera() -> None:
     assert there.translation == pytest.approx(here.translation, rel=0.1)
 
 
-def test_correlated_errors_are_larger_than_independent_ones() -> None:
-    assert CORRELATED > 1
-
-
 def test_bad_input_is_refused() -> None:
     group = seen(LEANING, np.random.default_rng(4))
     with pytest.raises(ValueError, match="T_cam_part must be finite"):
