@@ -13,9 +13,10 @@ from perception.runtime.cache import Arrays, cached_arrays, digest
 from policies.grasping.antipodal import Contacts, Solid, close_pads, grasps_on_lines, opposite_faces
 from policies.grasping.gripper import PAD_SIZE, GripperModel, gripper_model
 from policies.grasping.outcomes import Grasp
+from policies.grasping.thin_parts import BroadSides
 
 _log = logging.getLogger(__name__)
-_VERSION = 5  # raised whenever the code below would give another set
+_VERSION = 8  # raised whenever the code below would give another set
 _SURFACE_DENSITY = 1.5e6  # points per square metre: six in a cell of 2 mm
 _SYMMETRY_STEPS = 24  # rotations that stand for a continuous symmetry axis
 _WIDTH_MARGIN = 0.007  # distance of `max_width` from the jaw's largest opening: the smallest extra, twice, and below
@@ -185,6 +186,9 @@ def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, s
     widths = settings.min_width, settings.max_width
     lines = opposite_faces(mesh, round(settings.samples / scale), settings.min_cosine, widths, seed)
     T, width = grasps_on_lines(*lines, settings.turns, settings.depths)
+    broad_sides = BroadSides.of_thin_part(mesh, settings.thin)
+    T_floor, width_floor = broad_sides.grasps_off_the_floor(*lines, settings.part_margin)
+    T, width = np.concatenate([T_floor, T]), np.concatenate([width_floor, width])
     counts = {"lines through the part": len(lines[0]), "poses": len(T)}
     solid = Solid.from_mesh(mesh)
 
@@ -194,7 +198,9 @@ def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, s
     chosen = np.flatnonzero(rough)
     counts["clear of the part when open"] = len(chosen)
     if len(chosen) > settings.max_checked:
-        chosen = np.sort(rng.choice(chosen, settings.max_checked, replace=False))
+        floor = chosen[chosen < len(T_floor)][: settings.max_checked // 4]
+        others = chosen[chosen >= len(T_floor)]
+        chosen = np.append(floor, np.sort(rng.choice(others, settings.max_checked - len(floor), replace=False)))
     T, contacts = T[chosen], close_pads(mesh, T[chosen], width[chosen], scale)
     T[:, :3, 3] += contacts.shift[:, None] * T[:, :3, 1]
     firm = (contacts.area >= scale**2 * settings.min_area) & (contacts.alignment >= settings.min_cosine)
@@ -216,8 +222,12 @@ def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, s
         left = ", ".join(f"{count} {name}" for name, count in counts.items())
         _log.info("no grasp on %s; left after each step of the search: %s", model.name, left)
         return found
-    cover = _replicate(found.take(_spread(found, settings.max_grasps, _shallow(found, mesh, settings))), model)
-    return cover.take(_spread(cover, settings.max_grasps, _shallow(cover, mesh, settings)))
+
+    def spread(grasps: GraspSet) -> GraspSet:
+        shallow = broad_sides.shallow(grasps.T_part_grasp, grasps.width, settings.part_margin)
+        return grasps.take(_spread(grasps, settings.max_grasps, shallow))
+
+    return spread(_replicate(spread(found), model))
 
 
 def _contact_scale(mesh: trimesh.Trimesh, settings: GraspSettings) -> float:
@@ -227,25 +237,6 @@ def _contact_scale(mesh: trimesh.Trimesh, settings: GraspSettings) -> float:
     """
     thickness = float(mesh.bounding_box_oriented.primitive.extents.min())
     return float(np.clip(thickness / settings.thin, 0.5, 1.0))
-
-
-def _shallow(found: GraspSet, mesh: trimesh.Trimesh, settings: GraspSettings) -> NDArray[np.bool_]:
-    """Return the (N,) mask of grasps that pick a thin part off the floor on which it lies flat; none if it is not thin.
-
-    They have less contact than deeper ones, and would otherwise be thinned out in their favour. Only the two poses on
-    the broadest sides of the least bounding box count, so that of a thin rod just two of its resting poses do.
-    """
-    box = mesh.bounding_box_oriented.primitive
-    thinnest = int(np.argmin(box.extents))
-    if box.extents[thinnest] >= settings.thin:
-        return np.zeros(len(found), dtype=np.bool_)
-    centre, axis = box.transform[:3, 3], box.transform[:3, thinnest]
-    x, y, z = (found.T_part_grasp[:, :3, k] @ axis for k in range(3))
-    over_centre = (found.T_part_grasp[:, :3, 3] - centre) @ axis * -np.sign(z)  # the approach is downwards
-    spread = np.abs(x) * PAD_SIZE[0] / 2 + np.abs(y) * (found.width / 2 + PAD_SIZE[1])
-    lowest = over_centre + box.extents[thinnest] / 2 - spread  # of the fingertips' ends, above the floor
-    shallow: NDArray[np.bool_] = (np.abs(z) > 0.7) & (lowest > settings.part_margin)
-    return shallow
 
 
 def _clear_openings(
@@ -320,20 +311,20 @@ def _replicate(found: GraspSet, model: PartModel) -> GraspSet:
     return GraspSet(T_part_grasp=T, **{f.name: getattr(repeated, f.name) for f in fields(GraspSet)[1:]})
 
 
-def _spread(found: GraspSet, limit: int, preferred: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _spread(found: GraspSet, limit: int, shallow: NDArray[np.int64]) -> NDArray[np.int64]:
     """Choose at most ``limit`` indices, best first, spread evenly over approach, jaw direction and place.
 
     The best of every cell (about 15 degrees of approach, 30 of the jaw, 10 mm) is kept. Where that is too many, each
     approach contributes the best grasp of each of its places and widths, then the second best of each, and so on. A
     part with good grasps on its rim thus keeps those on its hub, which may be the only ones that neighbours leave free.
-    Preferred grasps, (N,) bool, count as better than all others here.
+    Grasps off the floor, by ``BroadSides.shallow``, have cells of their own and count as better than all others here.
     """
-    order = np.lexsort((-found.quality, ~preferred))
+    order = np.lexsort((-found.quality, shallow == 0))
     T = found.T_part_grasp[order]
     approach = np.argmax(T[:, :3, 2] @ _fibonacci_sphere(180).T, axis=1)
     jaw = np.argmax(np.abs(T[:, :3, 1] @ _fibonacci_sphere(90).T), axis=1)  # a jaw has no sign
     place = np.floor(T[:, :3, 3] / 0.010).astype(np.int64)
-    _, first = np.unique(np.column_stack([approach, jaw, place]), axis=0, return_index=True)
+    _, first = np.unique(np.column_stack([approach, jaw, place, shallow[order]]), axis=0, return_index=True)
     first = np.sort(first)
     region = np.floor(T[:, :3, 3] / 0.025).astype(np.int64)
     width = np.floor(found.width[order] / 0.010).astype(np.int64)

@@ -28,7 +28,7 @@ class DoubleSettings:
     force: WristForceNoise = field(default_factory=WristForceNoise)  # errors of the force sensor
     drop: float = 0.015  # height of the load above the pile at which it is let go [m]
     scale: float = 0.4  # share of velocity and acceleration limits used with the load that is put back
-    deviations: float = 3.0  # standard deviations of the mean by which the weight must at least exceed one part's
+    deviations: float = 2.0  # standard deviations of the mean by which the weight must at least exceed one part's
 
     def __post_init__(self) -> None:
         if self.readings < 1:

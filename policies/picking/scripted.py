@@ -144,14 +144,21 @@ class ScriptedPicker:
     def _decide(self) -> Plan | Abstention:
         if not self._env.candidates:
             return Abstention.NO_CANDIDATE
+        grasps = sorted(self.grasps(), key=self._obstructed)  # stable: the order stays among the others
+        if not self._abstained:
+            grasps = [grasp for grasp in grasps if not self._obstructed(grasp)]
         reasons = set()
-        for grasp in self.grasps()[: self.settings.grasps_tried]:
+        for grasp in grasps[: self.settings.grasps_tried]:
             plan = self.plan(grasp)
             if isinstance(plan, Plan):
                 return plan
             reasons.add(plan)
         unreached = reasons == {Abstention.IK_INFEASIBLE}
         return Abstention.IK_INFEASIBLE if unreached else Abstention.NO_CLEAR_APPROACH
+
+    def _obstructed(self, grasp: GraspCandidate) -> bool:
+        """Return whether other parts seem to lie on the target; they would come along."""
+        return grasp.features["buried"] > self.settings.most_buried
 
     def grasps(self) -> list[GraspCandidate]:
         """Return the grasps on the last frame's candidates that are clear of the scene, best first.

@@ -17,6 +17,9 @@ class PickerSettings:
     doubles: DoubleSettings = field(default_factory=DoubleSettings)  # more than one part in the jaw
     push: PushSettings = field(default_factory=PushSettings)  # pushes of parts without a grasp
     grasps_tried: int = 40  # largest number of grasps, best first, that a decision plans for before it abstains
+    # share of a part's outline under higher measurements beyond which it is picked only at a second look: what lies on
+    # it comes along
+    most_buried: float = 0.3
     standoff: float = 0.06  # length of the straight approach
     approach_speed: float = 0.25  # share of the joints' velocity limit allowed on the straight approach
     carry_scale: float = 0.7  # share of velocity and acceleration limits used with a part in the jaw

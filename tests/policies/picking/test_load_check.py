@@ -107,7 +107,7 @@ def test_only_the_last_readings_count() -> None:
 
 def test_a_light_part_is_not_taken_for_two_where_the_sensor_is_poor() -> None:
     poor = DoubleSettings(force=WristForceNoise(noise=0.0, drift=0.5))
-    assert poor.heaviest(MASS) == pytest.approx(GRAVITY * MASS + 1.5)
+    assert poor.heaviest(MASS) == pytest.approx(GRAVITY * MASS + 1.0)
     assert QUIET.heaviest(MASS) == pytest.approx(1.5 * GRAVITY * MASS)
 
 
