@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 import cv2
 import numpy as np
 
-from perception.geometry import Floats, make_transform, rotation_about, transform_points
+from perception.geometry import Floats, make_transform, rotation_about
 from policies.grasping.clearance import RankSettings, clear_among, clearances
 from policies.grasping.grasps import GraspSet
 from policies.grasping.gripper import PAD_SIZE, GripperModel
@@ -20,7 +20,8 @@ _STEP = 0.01  # distance between the places along a push at which room is measur
 _DIRECTIONS = 16  # directions that are tried
 _YAWS = 4  # orientations of the fingertips that are tried, over half a turn
 _TILTS = (0.0, 0.35, 0.7)  # leans of the gripper that are tried [rad]
-_STEPPED_OVER = 0.004  # height above a part's lowest point up to which others are no obstacle for it [m]
+_STEPPED_OVER = 0.004  # height above a part's underside up to which others are no obstacle for it [m]
+_EDGE_CELLS = 4  # number of cells by which obstacles under the part's outline may grow: its edges and noise
 _ENOUGH = 8  # number of clear grasps from which more are not worth a longer way
 _WAYS = 4  # ways of a part that are tried
 _POINTS = 12  # places on a part that are tried
@@ -109,14 +110,16 @@ def _of_part(
     own = heights.rasterise(grasps.surface, candidate.T_world_part)
     if not np.isfinite(own).any():
         return
-    lowest = float(transform_points(heights.T_bin_world @ candidate.T_world_part, grasps.surface)[:, 2].min())
+    T_world_bin = scene.workspace.T_world_bin
+    upside_down = T_world_bin @ np.diag([1.0, 1.0, -1.0, 1.0]) @ heights.T_bin_world @ candidate.T_world_part
+    underside = -heights.rasterise(grasps.surface, upside_down)
     surroundings = scene.parts[row].surroundings
     places = _places(own, surroundings, settings)
     if not places:
         return
     R_world_bin = heights.T_bin_world[:3, :3].T
     ways = []
-    for way_bin, gain in _ways(own, surroundings, lowest, settings):
+    for way_bin, gain in _ways(own, underside, surroundings, settings):
         way_world = R_world_bin @ np.append(way_bin, 0.0)
         moved = make_transform(translation=way_world) @ candidate.T_world_part
         clear = int(clear_among(surroundings, moved, grasps, gripper, rank).sum())
@@ -134,29 +137,39 @@ def _of_part(
 
 
 def _ways(
-    own: Floats, surroundings: HeightMap, lowest: float, settings: PushSettings
+    own: Floats, underside: Floats, surroundings: HeightMap, settings: PushSettings
 ) -> Iterator[tuple[Floats, float]]:
-    """Yield (2,) ways in the bin frame [m] that are free and give room, with the gain of room over the wanted room."""
+    """Yield (2,) ways in the bin frame [m] that are free and give room, with the gain of room over the wanted room.
+
+    A way is free where nothing new gets in the part's way: what lies on the part at first may stay on it, and a part
+    that lies on others may slide over them.
+    """
     cell, inner = surroundings.cell, surroundings.inner
-    free = np.zeros(surroundings.heights.shape, np.uint8)
     covered = np.argwhere(np.isfinite(own))
+    under = underside[covered[:, 0], covered[:, 1]] + _STEPPED_OVER
+    free = np.zeros(surroundings.heights.shape, np.uint8)
     free[covered[:, 0], covered[:, 1]] = 1  # what seems to stand where the part lies is its own edge
-    free[inner] |= surroundings.heights[inner] < lowest + _STEPPED_OVER
+    free[inner] |= surroundings.heights[inner] < under.min()
     outside = np.ones(free.shape, np.bool_)
     outside[inner] = False
     free[outside] = 0
     distance = cell * cv2.distanceTransform(np.pad(free, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
     before = float(distance[covered[:, 0], covered[:, 1]].min())
+    blocked_before = int((surroundings.heights[covered[:, 0], covered[:, 1]] > under).sum())
     for angle in 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
         direction = np.array([np.cos(angle), np.sin(angle)])
+        blocked = blocked_before
         for step in np.arange(_STEP, settings.travel + 1e-9, _STEP):
-            moved = covered + np.round(step * direction / cell).astype(int)
-            if np.any(moved < 0) or np.any(moved >= free.shape):
+            i, j = (covered + np.round(step * direction / cell).astype(int)).T
+            if min(i.min(), j.min()) < 0 or np.any(i >= free.shape[0]) or np.any(j >= free.shape[1]):
                 break
-            after = float(distance[moved[:, 0], moved[:, 1]].min())
-            if after <= 0:
+            blocked_now = int((surroundings.heights[i, j] > under).sum())
+            if np.any(outside[i, j]) or blocked_now > blocked + _EDGE_CELLS:
                 break
-            if after - before >= settings.least_gain:
+            blocked = min(blocked, blocked_now)
+            after = float(distance[i, j].min())
+            freed = blocked_before > 2 * _EDGE_CELLS and blocked_now <= blocked_before // 2
+            if after - before >= settings.least_gain or freed:
                 yield step * direction, (min(after, settings.room) - before) / settings.room
 
 

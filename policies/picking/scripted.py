@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from binpick_env.candidates import PoseCandidate
 from binpick_env.cell.delivery import Delivery
 from binpick_env.cell.wrist_force import WristForceSensor
 from binpick_env.env import BinPickEnv
@@ -114,7 +115,7 @@ class ScriptedPicker:
         seed = max(self._env.np_random_seed, 0)  # -1 where the generator was given
         rng = np.random.default_rng([seed, _WRIST_STREAM])
         self._wrist = WristForceSensor(self._env.simulation, self.settings.doubles.force, rng)
-        self._abstained = False  # whether the last decision was an abstention
+        self._refused: ObservedScene | None = None  # scene of the last decision if it was an abstention
 
     def pick(self) -> PickResult:
         """Make one decision on the last frame: an executed attempt, an abstention, or a push.
@@ -126,10 +127,10 @@ class ScriptedPicker:
             self._warm, self._last_scene = True, None
         started = time.perf_counter()
         plan = self._decide()
-        gives_up = isinstance(plan, Abstention) and self._abstained and self.settings.push.enabled
+        gives_up = isinstance(plan, Abstention) and self._refused is not None and self.settings.push.enabled
         push = self._plan_push() if gives_up else None
         compute = time.perf_counter() - started + self._env.perception_time
-        self._abstained = isinstance(plan, Abstention) and push is None
+        self._refused = self.observed_scene() if isinstance(plan, Abstention) and push is None else None
         if push is not None:
             result = self._push(*push)
         elif isinstance(plan, Abstention):
@@ -145,7 +146,7 @@ class ScriptedPicker:
         if not self._env.candidates:
             return Abstention.NO_CANDIDATE
         grasps = sorted(self.grasps(), key=self._obstructed)  # stable: the order stays among the others
-        if not self._abstained:
+        if self._refused is None:
             grasps = [grasp for grasp in grasps if not self._obstructed(grasp)]
         reasons = set()
         for grasp in grasps[: self.settings.grasps_tried]:
@@ -248,18 +249,27 @@ class ScriptedPicker:
             double_check=check.result,
         )
 
-    def _plan_push(self) -> tuple[Push, Press] | None:
-        """Return a push of a part that may be moved once more, with its motion; None if there is none."""
-        candidates = self._env.candidates
-        settings = self.settings
-        pushes = find_pushes(self.observed_scene(), self.grasp_set, self.gripper, settings.push, settings.rank)
-        allowed = [push for push in pushes if self._extra.allows(candidates[push.candidate].centre_world)]
-        return self._pusher.plan(allowed, self._pile_height())
+    def _plan_push(self) -> tuple[PoseCandidate, Push, Press] | None:
+        """Return a part that may be moved once more with its push and the motion; None if there is none.
 
-    def _push(self, push: Push, press: Press) -> PickResult:
+        Nothing has moved since the frame before, in which perception may have found other parts.
+        """
+        settings = self.settings
+        for scene in (self.observed_scene(), self._refused):
+            if scene is None or not scene.candidates:
+                continue
+            pushes = find_pushes(scene, self.grasp_set, self.gripper, settings.push, settings.rank)
+            allowed = [push for push in pushes if self._extra.allows(scene.candidates[push.candidate].centre_world)]
+            planned = self._pusher.plan(allowed, self._pile_height())
+            if planned is not None:
+                push, press = planned
+                return scene.candidates[push.candidate], push, press
+        return None
+
+    def _push(self, candidate: PoseCandidate, push: Push, press: Press) -> PickResult:
         """Make a push and name its outcome; ``t_compute`` is the time spent on planning during it."""
         env = self._env
-        began, frame_id, candidate = env.simulation.time, env.frame_id, env.candidates[push.candidate]
+        began, frame_id = env.simulation.time, env.frame_id
         execution = self._execution(env, self.settings.execution)
         outcome, planning = self._pusher.execute(push, press, execution, self._go_home)
         motion = env.simulation.time - began

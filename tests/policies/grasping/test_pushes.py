@@ -78,6 +78,21 @@ def test_a_part_is_not_pushed_into_what_stands_beside_it(grasps, gripper) -> Non
     assert find_pushes(scene_of(grasps, AT_WALL, unknown=fence), grasps, gripper) == []
 
 
+def test_a_part_is_pulled_out_from_under_what_covers_a_corner_of_it(grasps, gripper) -> None:
+    over = box((0.06, 0.06, 0.02), placed(-0.04, 0.06, 0.04))
+    pushes = find_pushes(scene_of(grasps, placed(0.0, 0.095, 0.01), unknown=[over]), grasps, gripper)
+    assert pushes
+    assert all(way_in_bin(push)[0] > 0 for push in pushes)
+
+
+def test_a_part_that_lies_on_another_slides_over_it(grasps, gripper) -> None:
+    lying_on = placed(0.0, 0.1, 0.05)
+    under = box((0.3, 0.24, 0.04), placed(0.0, 0.0, 0.02))
+    pushes = find_pushes(scene_of(grasps, lying_on, unknown=[under]), grasps, gripper)
+    assert pushes
+    assert all(way_in_bin(push)[1] < 0 for push in pushes)
+
+
 def test_without_candidates_there_is_no_push(grasps, gripper) -> None:
     assert find_pushes(scene_of(grasps), grasps, gripper) == []
 

@@ -73,6 +73,15 @@ def test_a_push_of_a_part_that_is_gone_touches_nothing(pushing: HandCell) -> Non
     assert pushing.at_home
 
 
+@pytest.mark.slow
+def test_a_part_that_only_the_frame_before_shows_is_pushed(pushing: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    pushing.lay(at_wall(pushing))
+    assert pushing.picker.pick().abstention is Abstention.NO_CLEAR_APPROACH
+    monkeypatch.setattr(type(pushing.env), "candidates", ())
+    result = pushing.picker.pick()
+    assert (result.push, result.part) == (PushOutcome.MOVED, 0)
+
+
 def test_a_part_that_was_moved_twice_is_left_alone(pushing: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ExtraDecisions, "allows", lambda *_: False)
     pushing.lay(at_wall(pushing))
