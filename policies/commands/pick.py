@@ -41,8 +41,8 @@ class Arguments(CellArguments):
     max_parts: int = 30  # largest number of parts in a bin
     noise_mm: float = 0.0  # error of the oracle's positions, standard deviation per axis [mm]
     noise_deg: float = 0.0  # error of the oracle's rotations, standard deviation [deg]
-    push: bool = False  # push a part without a grasp to where one is clear, before a bin is given up
-    put_back: bool = False  # put more than one part in the jaw, found by weight or width, back into the bin
+    push: bool = True  # push a part without a grasp to where one is clear, before a bin is given up
+    put_back: bool = True  # put more than one part in the jaw, found by weight or width, back into the bin
     fresh: bool = False  # compute all bins again, including those that are there
     out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-SEED) unless given
     json: Path | None = None  # JSON file for the numbers; results.json (or budget.json) in the folder unless given

@@ -20,8 +20,6 @@ from binpick_env.parts.unit import Unit
 from perception.bin import Trust
 from perception.runtime.records import RecordError
 from perception.segmentation.choices import NetworkName
-from policies.grasping.pushes import PushSettings
-from policies.picking.load_check import DoubleSettings
 from policies.picking.settings import PickerSettings
 
 _log = logging.getLogger(__name__)
@@ -68,9 +66,6 @@ class EvaluationConfig:
         for name in _NEWER_FIELDS:
             if values[name] is None:
                 del values[name]
-        for name, off in (("push", PushSettings()), ("doubles", DoubleSettings())):
-            if values["picker"][name] == asdict(off):  # nor had older runs what is off by default
-                del values["picker"][name]
         if self.network == "grid":  # nor do older runs know other networks
             del values["network"]
         path = Path(self.part)

@@ -31,7 +31,7 @@ _POINTS = 12  # places on a part that are tried
 class PushSettings:
     """Whether and how parts without a grasp are pushed. Lengths [m], forces [N]."""
 
-    enabled: bool = False  # whether a part is pushed before the picker gives a bin up
+    enabled: bool = True  # whether a part is pushed before the picker gives a bin up
     travel: float = 0.10  # longest way that the fingertips drag a part
     room: float = 0.05  # room around the part from which more is not worth a longer way
     least_gain: float = 0.006  # smallest gain of room for which a push is made

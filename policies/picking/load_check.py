@@ -19,7 +19,7 @@ _RISEN = 0.5  # share of the gripper's rise from which a part has come along
 class DoubleSettings:
     """How more than one part in the jaw are found, and whether they are put back."""
 
-    put_back: bool = False  # whether parts that are found to be more than one are put back into the bin
+    put_back: bool = True  # whether parts that are found to be more than one are put back into the bin
     jaw: bool = True  # whether the distance between the pads is a reason
     weight: bool = True  # whether the weight is a reason
     # distance between the pads beyond the grasp's from which there is more than a part [m]

@@ -1,6 +1,6 @@
 """Settings of the scripted picker."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from policies.grasping.clearance import RankSettings
 from policies.grasping.pushes import PushSettings
@@ -27,3 +27,8 @@ class PickerSettings:
     # Distance between the pads under which the jaw holds nothing, as read from the jaw's position. The closing force
     # bends the linkage: with a plate of 3 mm the position reads 1 mm, and -1 mm with nothing.
     empty_gap: float = 0.0
+
+    def attempts_only(self) -> "PickerSettings":
+        """Return the settings without pushes and put-backs, for a policy that chooses attempts and learns from them."""
+        doubles, push = replace(self.doubles, put_back=False), replace(self.push, enabled=False)
+        return replace(self, doubles=doubles, push=push)

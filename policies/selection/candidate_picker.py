@@ -4,6 +4,7 @@ import time
 
 from binpick_env.env import BinPickEnv
 from policies.picking.scripted import ScriptedPicker
+from policies.picking.settings import PickerSettings
 from policies.selection.candidate_generator import CandidateGenerator, GraspCandidates
 
 
@@ -19,7 +20,7 @@ class CandidatePicker:
             per_part: Largest number of candidates on one part.
         """
         self._env = env
-        self._picker = picker or ScriptedPicker(env)
+        self._picker = picker or ScriptedPicker(env, PickerSettings().attempts_only())
         self._generator = CandidateGenerator(env, self._picker, per_part)
         self._compiled = False
 

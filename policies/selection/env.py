@@ -112,7 +112,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
     | `bin`, `jaw`, `friction`, `camera_distance`, `width`, `height`, `backend`, `hand_eye_mm`, `hand_eye_deg`, `trust`, `camera`, `config` | `None` | as `BinPick-v0`'s: options of the cell one by one, its camera, or the whole cell |
     | `max_failures` | `2` | consecutive failures that end the bin; `None` for no limit |
     | `per_part` | `3` | largest number of candidates on one part |
-    | `picker` | `None` | a `PickerSettings`: settings of ranking and execution |
+    | `picker` | `None` | a `PickerSettings`: settings of ranking and execution; nothing is pushed or put back |
     | `fast` | `False` | leave out the physics of an arm that touches nothing, and with the oracle the shadows in the grey image: outcomes are very nearly those of the full simulation (BENCHMARK.md); `t_motion` lacks the way home |
 
     ## Versions
@@ -184,10 +184,11 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
         if max_failures is not None and max_failures < 1:
             raise ValueError(f"max_failures must be at least 1, or None for never, got {max_failures}")
         self.cell = BinPickEnv(**cell)
+        settings = (picker or PickerSettings()).attempts_only()
         if fast:
-            self.picker, self._prober = fast_pickers(self.cell, picker, perception)
+            self.picker, self._prober = fast_pickers(self.cell, settings, perception)
         else:
-            self.picker = ScriptedPicker(self.cell, picker)
+            self.picker = ScriptedPicker(self.cell, settings)
             self._prober = self.picker.with_execution(Execution)
         self.max_failures, self.per_part = max_failures, per_part
         self.render_mode = render_mode

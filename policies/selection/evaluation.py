@@ -32,12 +32,13 @@ def selector_cell(spec: str, config: EvaluationConfig) -> Cell:
 
     Args:
         spec: Name of a heuristic or of a shipped selector, path to a trained one, or `HINDSIGHT`.
-        config: Settings of cell and picker.
+        config: Settings of cell and picker; nothing is pushed or put back.
     """
     env = make_env(config)
+    picker = ScriptedPicker(env, config.picker.attempts_only())
     if spec == HINDSIGHT:
-        return Cell(env, HindsightPicker(env, ScriptedPicker(env, config.picker)))
-    return Cell(env, SelectorPicker(env, load_selector(spec), ScriptedPicker(env, config.picker)))
+        return Cell(env, HindsightPicker(env, picker))
+    return Cell(env, SelectorPicker(env, load_selector(spec), picker))
 
 
 def selector_names(specs: Sequence[str]) -> dict[str, str]:

@@ -14,6 +14,7 @@ from policies.commands.command_line import parse
 from policies.evaluation import jobs
 from policies.evaluation.bin_evaluation import BinError
 from policies.evaluation.config import EvaluationConfig
+from policies.picking.settings import PickerSettings
 from tests.policies.commands.command_calls import TINY, run
 from tests.policies.fake_cell import dice_cell
 
@@ -190,8 +191,9 @@ def test_a_part_without_weights_gets_the_commands_that_make_them_and_the_other_m
     assert (training.preset, training.install) == ("dgcnn-sgpn", True)
 
 
-def test_pushes_and_put_backs_are_asked_for() -> None:
-    plain, both = pick.Arguments().config(), pick.Arguments(push=True, put_back=True).config()
-    assert (plain.picker.push.enabled, plain.picker.doubles.put_back) == (False, False)
-    assert (both.picker.push.enabled, both.picker.doubles.put_back) == (True, True)
-    assert plain == pick.Arguments(push=False).config()
+def test_pushes_and_put_backs_are_on_unless_they_are_switched_off() -> None:
+    both, neither = pick.Arguments().config().picker, pick.Arguments(push=False, put_back=False).config().picker
+    assert both == PickerSettings()
+    assert (both.push.enabled, both.doubles.put_back) == (True, True)
+    assert neither == PickerSettings().attempts_only()
+    assert (neither.push.enabled, neither.doubles.put_back) == (False, False)

@@ -1,7 +1,5 @@
 """A part that lies at a wall without a grasp is pushed and then picked, on the real physics."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from policies.picking.scripted import ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import HandCell
 
-PUSHING = PickerSettings(push=PushSettings(enabled=True))
+PUSHING = PickerSettings()
 
 
 @pytest.fixture
@@ -28,7 +26,8 @@ def at_wall(cell: HandCell) -> Floats:
     return cell.flat(0.1308, 0.0742, yaw=np.radians(-19))
 
 
-def test_a_lid_in_a_corner_has_no_grasp_and_pushes_are_off_by_default(lids: HandCell) -> None:
+def test_a_lid_in_a_corner_has_no_grasp(lids: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lids, "picker", ScriptedPicker(lids.env, PickerSettings().attempts_only()))
     lids.lay(at_wall(lids))
     assert [lids.picker.pick().abstention for _ in range(3)] == [Abstention.NO_CLEAR_APPROACH] * 3
 
@@ -56,7 +55,7 @@ def test_a_lid_in_a_corner_is_pushed_free_before_the_picker_gives_up(pushing: Ha
 
 @pytest.mark.slow
 def test_a_push_that_meets_a_greater_force_is_broken_off(pushing: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
-    careful = replace(PUSHING, push=PushSettings(enabled=True, press_force=5.0, stop_force=5.0))
+    careful = PickerSettings(push=PushSettings(press_force=5.0, stop_force=5.0))
     monkeypatch.setattr(pushing, "picker", ScriptedPicker(pushing.env, careful))
     pushing.lay(at_wall(pushing))
     pushing.picker.pick()

@@ -12,7 +12,7 @@ from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import HandCell
 
 pytestmark = pytest.mark.slow
-PUT_BACK = PickerSettings(doubles=DoubleSettings(put_back=True))
+PUT_BACK = PickerSettings()
 
 
 @pytest.fixture
@@ -63,7 +63,10 @@ def test_what_was_put_back_is_tried_last_and_not_put_back_a_third_time(careful: 
     assert not careful.picker._extra.allows(centres[0])
 
 
-def test_by_default_a_double_is_found_and_delivered_as_before(lids: HandCell) -> None:
+def test_where_nothing_is_put_back_a_double_is_found_and_goes_to_the_tray(
+    lids: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lids, "picker", ScriptedPicker(lids.env, PUT_BACK.attempts_only()))
     lay_two(lids)
     result = lids.picker.pick()
     assert result.outcome is GraspOutcome.DOUBLE
@@ -72,7 +75,7 @@ def test_by_default_a_double_is_found_and_delivered_as_before(lids: HandCell) ->
 
 
 def test_a_detector_that_is_switched_off_puts_nothing_back(careful: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = replace(PUT_BACK, doubles=DoubleSettings(put_back=True, weight=False))
+    settings = replace(PUT_BACK, doubles=DoubleSettings(weight=False))
     monkeypatch.setattr(careful, "picker", ScriptedPicker(careful.env, settings))
     lay_two(careful)
     assert careful.picker.pick().outcome is GraspOutcome.DOUBLE

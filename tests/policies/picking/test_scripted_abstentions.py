@@ -25,6 +25,18 @@ def test_a_part_in_a_pit_has_no_clear_approach(tees: HandCell) -> None:
     assert tees.picker.rank_stats.blocked > 0
 
 
+def test_a_part_on_which_something_lies_is_picked_at_a_second_look_only(tees: HandCell) -> None:
+    tees.lay(tees.flat())
+    capture = tees.env.capture
+    assert capture is not None
+    part = capture.instance_ids == 0
+    half = part & (np.cumsum(part, axis=1) > 0.4 * part.sum(axis=1, keepdims=True))
+    tees.see(np.where(half, capture.frame.depth - 0.008, capture.frame.depth))
+    assert max(grasp.features["buried"] for grasp in tees.picker.grasps()) > tees.picker.settings.most_buried
+    assert_abstains(tees, Abstention.NO_CLEAR_APPROACH)
+    assert tees.picker.pick().outcome is GraspOutcome.DELIVERED
+
+
 @pytest.mark.parametrize("depth", [0.0, np.nan, np.inf, -0.9])
 def test_nothing_is_entered_on_a_frame_without_depth(tees: HandCell, depth: float) -> None:
     tees.lay(tees.flat())
