@@ -40,6 +40,19 @@ class PutBack:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class DropPlaces:
+    """Where a load may be let go.
+
+    Attributes:
+        world: (K, 2) places in the bin, best first, world frame [m].
+        drop: Height of the load above the pile [m].
+    """
+
+    world: Floats
+    drop: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Press:
     """The motions with which a push begins.
 
@@ -135,7 +148,7 @@ class AttemptPlanner:
         grasp: GraspCandidate,
         T_world_part: Floats,
         pile: HeightFunction,
-        places_world: Floats,
+        places: DropPlaces,
     ) -> PutBack | None:
         """Plan with the load to over the first place that can be reached, and straight down; None if there is none.
 
@@ -145,7 +158,7 @@ class AttemptPlanner:
             grasp: The grasp.
             T_world_part: (4, 4) pose of the part before the lift.
             pile: Height of the pile.
-            places_world: (K, 2) places in the bin, best first [m].
+            places: Where the load may be let go.
         """
         part_tcp, tool = self._load(q_grasp, grasp, T_world_part)
         T_world_tcp = self._ik.tcp_pose(q_from)
@@ -153,10 +166,10 @@ class AttemptPlanner:
         points = tool.points_tcp @ T_world_tcp[:3, :3].T
         lift = self._motion.clearing_lift(q_from, tool) + _LIFT_MARGIN
         height = float(T_world_tcp[2, 3]) + lift
-        for x, y in places_world:
+        for x, y in places.world:
             over = make_transform(T_world_tcp[:3, :3], (x, y, height))
             beside = points + np.array([x, y, 0.0])
-            release = float((pile(beside) - points[:, 2]).max()) + self._settings.doubles.drop
+            release = float((pile(beside) - points[:, 2]).max()) + places.drop
             reached = self._ik.solve(over, q_from, opening=grasp.width)
             if not reached.ok or release > height:
                 continue
@@ -166,7 +179,7 @@ class AttemptPlanner:
             lowered = make_transform(T_world_tcp[:3, :3], (x, y, release))
             down = self._motion.plan_line(reached.q, lowered, tool, speed=self._settings.approach_speed, scale=scale)
             if across.trajectory is not None and down.trajectory is not None:
-                place = np.array([x, y, release - self._settings.doubles.drop]) + middle
+                place = np.array([x, y, release - places.drop]) + middle
                 return PutBack(across=across.trajectory, down=down.trajectory, place_world=place)
         return None
 

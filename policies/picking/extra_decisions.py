@@ -26,6 +26,7 @@ class ExtraDecisions:
     decisions: int = 0
     extra: int = 0
     _moved: list[tuple[Floats, int]] = field(default_factory=list)
+    _put_back: list[tuple[Floats, int]] = field(default_factory=list)
 
     def decided(self) -> None:
         """Count a decision."""
@@ -46,6 +47,17 @@ class ExtraDecisions:
         self.extra += 1
         self._moved.append((np.asarray(to_world), self._times(centre_world) + 1))
 
+    def put_back(self, centre_world: Floats, to_world: Floats) -> None:
+        """Note that the last decision put parts from a (3,) place back to another one [m]."""
+        self._put_back.append((np.asarray(to_world), self.times_put_back(centre_world) + 1))
+        self.moved(centre_world, to_world)
+
+    def times_put_back(self, centre_world: Floats) -> int:
+        """Return how often the part at a (3,) place was put back together with another one [m]."""
+        return self._most(self._put_back, centre_world)
+
     def _times(self, centre_world: Floats) -> int:
-        near = [times for place, times in self._moved if np.linalg.norm(place - centre_world) < self.radius]
-        return max(near, default=0)
+        return self._most(self._moved, centre_world)
+
+    def _most(self, moves: list[tuple[Floats, int]], centre_world: Floats) -> int:
+        return max((times for place, times in moves if np.linalg.norm(place - centre_world) < self.radius), default=0)

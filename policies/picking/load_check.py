@@ -27,6 +27,7 @@ class DoubleSettings:
     readings: int = 8  # number of readings of the force, one a control period, that are averaged at the end of the lift
     force: WristForceNoise = field(default_factory=WristForceNoise)  # errors of the force sensor
     drop: float = 0.015  # height of the load above the pile at which it is let go [m]
+    second_drop: float = 0.08  # the same for parts that were put back together before: the fall is to part them
     scale: float = 0.4  # share of velocity and acceleration limits used with the load that is put back
     deviations: float = 2.0  # standard deviations of the mean by which the weight must at least exceed one part's
 

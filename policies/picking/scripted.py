@@ -23,9 +23,9 @@ from policies.grasping.pushes import Push, find_pushes
 from policies.motion.ik import IkResult
 from policies.motion.path_checker import HeightFunction
 from policies.motion.trajectory import Trajectory
-from policies.picking.attempt_planner import AttemptPlanner, Press
+from policies.picking.attempt_planner import AttemptPlanner, DropPlaces, Press
 from policies.picking.execution import Execution, ExecutionSettings
-from policies.picking.extra_decisions import ExtraDecisions
+from policies.picking.extra_decisions import PER_PART, ExtraDecisions
 from policies.picking.load_check import LoadCheck
 from policies.picking.pusher import Pusher
 from policies.picking.settings import PickerSettings
@@ -164,11 +164,21 @@ class ScriptedPicker:
     def grasps(self) -> list[GraspCandidate]:
         """Return the grasps on the last frame's candidates that are clear of the scene, best first.
 
-        Grasps that failed before are left out; other grasps on the same parts come last. Whether the arm reaches them
-        is not checked.
+        Grasps that failed before are left out; other grasps on the same parts come last. Parts that may be put back no
+        more are left out unless they lie apart: with another part they would be lost. Whether the arm reaches the
+        grasps is not checked.
         """
         ranked, self.rank_stats = rank_grasps(self.observed_scene(), self.grasp_set, self.gripper, self.settings.rank)
+        entangled = [self._entangled(row) for row in range(len(self._env.candidates))]
+        ranked = [grasp for grasp in ranked if not entangled[grasp.candidate]]
         return self.failed.without_failed(ranked, self._env.candidates)
+
+    def _entangled(self, row: int) -> bool:
+        """Return whether a candidate was put back with another part as often as it may be, and has one near it."""
+        centres = np.stack([candidate.centre_world for candidate in self._env.candidates])
+        if self._extra.times_put_back(centres[row]) < PER_PART:
+            return False
+        return int((np.linalg.norm(centres - centres[row], axis=1) < self._env.part.model.d_max).sum()) > 1
 
     def reach(self, grasp: GraspCandidate) -> IkResult | Abstention:
         """Solve for the posture at a grasp, or return why there is none that a straight approach could end in.
@@ -321,7 +331,10 @@ class ScriptedPicker:
         """
         started = time.perf_counter()
         pile, q_from = self._pile_height(), self._env.simulation.target.copy()
-        places = low_places(self.observed_scene().heights, self._env.part.model.d_max / 2)
+        centre, doubles = self._env.candidates[plan.grasp.candidate].centre_world, self.settings.doubles
+        drop = doubles.second_drop if self._extra.times_put_back(centre) else doubles.drop
+        low = low_places(self.observed_scene().heights, self._env.part.model.d_max / 2)
+        places = DropPlaces(world=low, drop=drop)
         way = self._planner.put_back(q_from, plan.q_grasp, plan.grasp, T_world_part, pile, places)
         planning = time.perf_counter() - started
         if way is None:
@@ -329,7 +342,7 @@ class ScriptedPicker:
             return planning
         execution.follow(way.across, 1.0)
         execution.put_down(way.down, check)
-        self._extra.moved(self._env.candidates[plan.grasp.candidate].centre_world, way.place_world)
+        self._extra.put_back(centre, way.place_world)
         d_max = self._env.part.model.d_max
         self.failed.add(way.place_world, plan.grasp.T_world_grasp, radius=d_max)
         return planning

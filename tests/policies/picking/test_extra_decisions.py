@@ -34,3 +34,11 @@ def test_a_part_is_moved_twice_and_its_count_goes_with_it() -> None:
     extra.moved(THERE, FAR)
     assert not extra.allows(FAR)
     assert extra.allows(HERE)
+
+
+def test_put_backs_count_as_moves_and_apart_from_pushes():
+    extra = after(100, (HERE, THERE))
+    assert extra.times_put_back(THERE) == 0
+    extra.put_back(THERE, FAR)
+    assert extra.times_put_back(FAR) == 1
+    assert not extra.allows(FAR)

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from policies.grasping.outcomes import GraspOutcome
+from policies.picking.extra_decisions import PER_PART
 from policies.picking.load_check import DoubleSettings, LoadCheck
 from policies.picking.scripted import ScriptedPicker
 from policies.picking.settings import PickerSettings
@@ -29,6 +29,11 @@ def lay_two(cell: HandCell) -> None:
         cell.picker._extra.decided()
 
 
+def let_go_height(cell: HandCell) -> float:
+    """Return the height of the tcp when the jaw was last told to be closed [m]."""
+    return [step.height for step in cell.log if step.action[6] == 1.0][-1]
+
+
 def test_two_lids_are_put_back_and_stay_in_the_bin(careful: HandCell) -> None:
     lay_two(careful)
     result = careful.picker.pick()
@@ -41,9 +46,7 @@ def test_two_lids_are_put_back_and_stay_in_the_bin(careful: HandCell) -> None:
     assert (env.events, env.remaining) == ([], 2)
     assert env.workspace.contains(env.simulation.part_centres()).all()
     assert careful.at_home
-    closed = np.array([step.action[6] == 1.0 for step in careful.log])
-    let_go = len(closed) - 1 - int(np.argmax(closed[::-1]))
-    assert careful.log[let_go].height < careful.log[let_go - 10].height < 0.4  # lowered, not dropped from the lift
+    assert let_go_height(careful) < 0.15  # lowered, not dropped from the lift
 
 
 def test_a_lone_lid_is_no_double(careful: HandCell) -> None:
@@ -111,3 +114,25 @@ def test_a_load_that_is_one_part_after_all_is_delivered(careful: HandCell, monke
         careful.picker._extra.decided()
     assert careful.picker.pick().outcome is GraspOutcome.DELIVERED
     assert next(answers, None) is None  # it was weighed twice
+
+
+@pytest.mark.parametrize(("distance", "left"), [(0.9, {1}), (1.1, {0, 1})])
+def test_parts_that_were_put_back_twice_are_left_unless_they_lie_apart(
+    careful: HandCell, distance: float, left: set[int]
+) -> None:
+    careful.lay(careful.flat(), careful.flat(distance * careful.env.part.model.d_max, 0.0))
+    centres = [candidate.centre_world for candidate in careful.env.candidates]
+    assert {grasp.candidate for grasp in careful.picker.grasps()} == {0, 1}
+    for _ in range(PER_PART):
+        careful.picker._extra.put_back(centres[0], centres[0])
+    assert {grasp.candidate for grasp in careful.picker.grasps()} == left
+
+
+def test_parts_that_were_put_back_together_before_fall_further(careful: HandCell) -> None:
+    lay_two(careful)
+    centre = careful.env.candidates[0].centre_world
+    careful.picker._extra.put_back(centre, centre)
+    careful.picker._extra.decisions = 20
+    assert careful.picker.pick().outcome is GraspOutcome.PUT_BACK
+    assert let_go_height(careful) > 0.17
+    assert careful.env.workspace.contains(careful.env.simulation.part_centres()).all()
