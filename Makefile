@@ -7,6 +7,8 @@ NEWEST := .venv-newest
 JOBS ?= 2
 # A file's tests run in one process, which builds the file's cells once.
 DIST := --dist loadfile --no-loadscope-reorder
+# The tests and the processes that they start compile every module anew where an environment forbids to keep bytecode.
+export PYTHONDONTWRITEBYTECODE =
 BENCH ?= cell
 ARGS ?=
 

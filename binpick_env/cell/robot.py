@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from binpick_env.cell.robot_meshes import use_coarse_meshes
 from binpick_env.config import RobotConfig
 from perception.geometry import Floats
 
@@ -60,6 +61,7 @@ def robot_spec(config: RobotConfig) -> mujoco.MjSpec:
             pad.friction = [pad.friction[0], 0.005, 0.0005]
     gripper.body("base").add_site(name="tcp", pos=[0, 0, TCP_OFFSET], group=5)
     spec.attach(gripper, prefix=GRIPPER, site=spec.site("attachment_site"))
+    use_coarse_meshes(spec)
     for body in spec.bodies:
         if body.name != "world":
             body.gravcomp = 1.0
