@@ -29,7 +29,10 @@ from tests.policies.commands.command_calls import ROOT, run_script, script, star
 HEAVY = ("torch", "mujoco", "numba", "cv2", "trimesh", "scipy", "mink", "stable_baselines3", "tqdm")
 NAMES = [command.name for command in COMMANDS]
 SUBCOMMANDS = {
-    "bench": ("cell", "segmentation", "pose", "selection"),
+    "bench": (
+        *("cell", "segmentation", "pose", "selection"),
+        *("frame", "camera", "attempt", "select", "scenes", "training"),
+    ),
     "s3dis": ("synthesize", "prepare", "train", "evaluate"),
     "train-selector": ("ppo", "bandit"),
 }
