@@ -141,10 +141,11 @@ class HypothesisScorer:
         alike = are_alike(best.T_cam_part, poses, part, config.clusters)
         logits = np.array([rival.logit for rival in rivals])
         margin = best.logit - float(logits[~alike].max(initial=-np.inf))
-        # Only rivals that are nearly as good lower the score: most estimates have none, and nothing to compare.
-        close = ~alike & (logits > best.logit - config.confidence.clear)
-        close[close] = ~models.same_surface.of(best.T_cam_part, poses[close])
-        elsewhere = best.logit - float(logits[close].max(initial=-np.inf))
+        # Only rivals that are nearly as good lower the score, and of those the best one with another surface alone.
+        close = np.flatnonzero(~alike & (logits > best.logit - config.confidence.clear))
+        order = close[np.argsort(-logits[close], kind="stable")]
+        other = next((k for k in order if not models.same_surface.of(best.T_cam_part, poses[k : k + 1])[0]), None)
+        elsewhere = best.logit - (float(logits[other]) if other is not None else -np.inf)
         size = max(len(self._group.points_cam), 1)
         mismatch, expected = self._judge(best)
         penalty = mismatch_penalty(mismatch, self._group.noise, config.confidence) - best.penalty

@@ -252,7 +252,7 @@ def test_every_output_of_a_command_is_checked_before_its_work() -> None:
             "cloud",
             "frames_in",
         }
-        read |= {"compare", "opencv_python", "open3d_python", "logs"}
+        read |= {"compare", "opencv_python", "open3d_python", "logs", "against"}
         assert names - read <= set(command_line._FILES + command_line._FOLDERS), command.name
 
 
