@@ -111,7 +111,11 @@ class Build:
         given = {name: getattr(self, name) for name in ("part", "count", "sensor", "seed", "repeats", "threads")}
         job = BuildJob(work=type(self).__name__.lower(), **given)
         with tqdm(total=self.repeats, desc=job.work, unit="pair") as bar:
-            compared = compare_builds(self.against, job, progress=lambda done: bar.update(done - bar.n) and None)
+
+            def show(done: int) -> None:
+                bar.update(done - bar.n)
+
+            compared = compare_builds(self.against, job, progress=show)
         if self.json is not None:
             save_comparison(self.json, compared)
             return f"{compared}\nkept in   {self.json}"

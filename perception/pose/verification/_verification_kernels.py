@@ -106,7 +106,8 @@ def edge_counts(
     )
     occluded = occluded_points(T, points, matches, depth, K, tolerance, radius)
     explained = explained_points(T, points, tangents, group, group_tangents, gate, depth_gate, min_cosine)
-    return np.sum(matches >= 0), np.sum(occluded), np.sum(explained)
+    matched, hidden, near = np.count_nonzero(matches >= 0), np.count_nonzero(occluded), np.count_nonzero(explained)
+    return int(matched), int(hidden), int(near)
 
 
 @njit(cache=True, nogil=True)

@@ -103,14 +103,15 @@ def compare_builds(
 
 
 def _rows(work: str, pairs: list[list[dict[str, Any]]]) -> list[PairedTimes]:
-    def row(name: str, read: Callable[[dict[str, Any]], float]) -> PairedTimes:
-        before, after = (tuple(read(pair[side]) for pair in pairs) for side in (0, 1))
-        return PairedTimes(name=name, unit="ms", before=before, after=after)
+    """Return the times of the work, and of the stages that both builds report for every input."""
+    stages = [name for name in pairs[0][0]["stages"] if all(name in each["stages"] for pair in pairs for each in pair)]
+    names = {"wall": f"{work}, wall clock", "cpu": f"{work}, processor"} | {name: f"  {name}" for name in stages}
 
-    rows = [row(f"{work}, wall clock", lambda each: float(each["wall"]))]
-    rows += [row(f"{work}, processor", lambda each: float(each["cpu"]))]
-    told = [name for name in pairs[0][0]["stages"] if all(name in each["stages"] for pair in pairs for each in pair)]
-    return rows + [row(f"  {name}", lambda each, name=name: float(each["stages"][name])) for name in told]
+    def times(key: str, side: int) -> tuple[float, ...]:
+        told = (pair[side] for pair in pairs)
+        return tuple(float(each[key] if key in ("wall", "cpu") else each["stages"][key]) for each in told)
+
+    return [PairedTimes(name=name, unit="ms", before=times(key, 0), after=times(key, 1)) for key, name in names.items()]
 
 
 def commit_of(checkout: Path) -> str:
