@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,11 @@ class Frame:
     def has_grey(self) -> bool:
         """Whether the grey image shows anything: not if all its pixels are alike."""
         return bool(self.grey.size and np.any(self.grey != self.grey.flat[0]))
+
+    @cached_property
+    def has_depth(self) -> bool:
+        """Whether any pixel has a depth."""
+        return bool(self.depth[::16, ::16].any() or self.depth.any())  # some pixels are nearly always enough
 
     @property
     def valid(self) -> NDArray[np.bool_]:

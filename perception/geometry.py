@@ -18,6 +18,8 @@ _RIGID = 1e-3  # largest deviation of R^T R from the identity: a pose written wi
 
 def require_shape(name: str, array: NDArray[np.generic], shape: tuple[int | None, ...]) -> None:
     """Raise ``ValueError`` unless ``array`` has ``shape``; ``None`` stands for any length."""
+    if array.shape == shape:
+        return
     fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
     if not fits:
         wanted = ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "")

@@ -38,18 +38,27 @@ class GroupSearch:
         self._score_drops: dict[ScoredHypothesis, float] = {}  # of the best ones so far: each takes several verdicts
         self._ruled_out: list[Condition] = []
         self._best_impossible: ScoredHypothesis | None = None
+        self._estimate: PoseEstimate | None = None  # of the best hypothesis among the present ones
 
     def add(self, poses: Floats) -> None:
-        """Refine (C, 4, 4) poses coarsely in turn until one is good enough, and keep those that are possible."""
-        config = self._config
+        """Refine (C, 4, 4) poses coarsely in turn until one is good enough, and keep those that are possible.
+
+        A pose whose edges match far fewer boundary points than those of an earlier possible one is not compared
+        with the depth.
+        """
+        config, self._estimate, most = self._config, None, 0
         for T_cam_part in poses:
             enough = len(self._hypotheses) >= config.hypotheses
             if enough and any(found.verdict.score >= config.sure and not found.penalty for found in self._hypotheses):
                 break
-            found = self._scorer.refine_coarsely(T_cam_part)
+            fitted = self._scorer.fit_edges(T_cam_part)
+            if fitted.inliers < config.promising * most:
+                continue
+            found = self._scorer.fit_surface(fitted.T_cam_part)
             penalised = self._penalised(found)
             if penalised is not None:
                 self._hypotheses.append(penalised)
+                most = max(most, fitted.inliers)
             elif self._best_impossible is None or found.logit > self._best_impossible.logit:
                 self._best_impossible = found
 
@@ -71,6 +80,8 @@ class GroupSearch:
         """
         if not self._hypotheses:
             return None
+        if self._estimate is not None:
+            return self._estimate
         self._refine_finalists()
         best = self._hypotheses[0]
         if best not in self._score_drops:
@@ -80,14 +91,19 @@ class GroupSearch:
             self._refine_finalists()
             best = self._hypotheses[0]
             self._score_drops[best] = self._scorer.score_drop(best)
-        return self._scorer.estimate(best, self._hypotheses[1:], self._score_drops[best], self._instance_idx)
+        drop = self._score_drops[best]
+        self._estimate = self._scorer.estimate(best, self._hypotheses[1:], drop, self._instance_idx)
+        return self._estimate
 
     def rule_out(self, impossible: Condition) -> bool:
         """Remove the hypotheses that meet a condition, also those found later; return whether any was removed."""
         self._ruled_out.append(impossible)
         count = len(self._hypotheses)
         self._hypotheses = [found for found in self._hypotheses if not impossible(found.T_cam_part)]
-        return len(self._hypotheses) < count
+        if len(self._hypotheses) == count:
+            return False
+        self._estimate = None
+        return True
 
     def _refine_finalists(self) -> None:
         """Refine the first ``finalists`` hypotheses fully, and sort all by their logit, best first."""

@@ -89,7 +89,70 @@ class Selection(Files, CellArguments):
         return bench_selection(self.options(), self.seed, self.picks, self.workers)
 
 
-Arguments = Cell | Segmentation | Pose | Selection
+@dataclass(frozen=True, kw_only=True)
+class Build:
+    """What works that two builds are compared by have in common."""
+
+    against: Path  # checkout of the build that is compared with this one, such as a git worktree of an older commit
+    json: Path | None = None  # JSON file to write the result to
+    part: str = "tee"  # name of a part, or the path of a part file
+    count: int = 25  # number of parts in the bin
+    sensor: SensorPreset = "good"  # noise of the depth camera
+    seed: int = 0  # seed of the first input; each input has the next one
+    repeats: int = 12  # number of inputs; each build does the work once on each, in turn
+    threads: int = 1  # number of threads of each build
+
+    def compare(self) -> str:
+        """Do the work in both builds and return the table."""
+        from tqdm import tqdm
+
+        from policies.benchmarks.builds import BuildJob, compare_builds, save_comparison
+
+        given = {name: getattr(self, name) for name in ("part", "count", "sensor", "seed", "repeats", "threads")}
+        job = BuildJob(work=type(self).__name__.lower(), **given)
+        with tqdm(total=self.repeats, desc=job.work, unit="pair") as bar:
+
+            def show(done: int) -> None:
+                bar.update(done - bar.n)
+
+            compared = compare_builds(self.against, job, progress=show)
+        if self.json is not None:
+            save_comparison(self.json, compared)
+            return f"{compared}\nkept in   {self.json}"
+        return str(compared)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame(Build):
+    """This build against another: a frame to poses, by the learned pipeline, in a bin whose pose is given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera(Build):
+    """This build against another: a frame of the simulated camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt(Build):
+    """This build against another: an attempt of the picker in the full simulation, with the true poses."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Select(Build):
+    """This build against another: four attempts in the fast selection environment."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenes(Build):
+    """This build against another: a labelled scene."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training(Build):
+    """This build against another: a training step of the shared network."""
+
+
+Arguments = Cell | Segmentation | Pose | Selection | Frame | Camera | Attempt | Select | Scenes | Training
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -103,6 +166,8 @@ def run(args: Arguments) -> int:
 
 
 def _bench(args: Arguments) -> str:
+    if isinstance(args, Build):
+        return args.compare()
     from tqdm import tqdm
 
     from policies.benchmarks.measurement import comparison_table, load_benchmark, save_benchmark
@@ -118,7 +183,7 @@ def _bench(args: Arguments) -> str:
     return "\n".join(lines)
 
 
-def _table(args: Arguments) -> Callable[[Sequence[Any]], str]:
+def _table(args: Cell | Segmentation | Pose | Selection) -> Callable[[Sequence[Any]], str]:
     if isinstance(args, Pose):
         from policies.benchmarks.pose import pose_table
 

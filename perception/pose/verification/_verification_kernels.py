@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from perception.geometry import NEAR, Floats
 from perception.pose._transform_kernels import Ints, Singles, apply, rotate
-from perception.pose.verification._refine_kernels import gated_square
+from perception.pose.verification._refine_kernels import gated_square, match_edges, surface_gaps
 
 
 @njit(cache=True, nogil=True)
@@ -74,6 +74,70 @@ def explained_points(
                 out[n] = True
                 break
     return out
+
+
+@njit(cache=True, nogil=True)
+def edge_counts(
+    T: Floats,
+    points: Floats,
+    tangents: Floats,
+    boundary: Floats,
+    boundary_tangents: Floats,
+    starts: NDArray[np.int64],
+    shape: tuple[int, int],
+    origin: Floats,
+    cell: float,
+    gate: float,
+    depth_gate: float,
+    min_cosine: float,
+    depth: Singles,
+    K: Floats,
+    tolerance: float,
+    radius: int,
+    group: Floats,
+    group_tangents: Floats,
+) -> tuple[int, int, int]:
+    """Return the numbers of matched and of occluded model points, and that of the group's explained points.
+
+    The arguments are those of :func:`match_edges`, :func:`occluded_points` and :func:`explained_points`.
+    """
+    matches = match_edges(
+        T, points, tangents, boundary, boundary_tangents, starts, shape, origin, cell, gate, depth_gate, min_cosine
+    )
+    occluded = occluded_points(T, points, matches, depth, K, tolerance, radius)
+    explained = explained_points(T, points, tangents, group, group_tangents, gate, depth_gate, min_cosine)
+    matched, hidden, near = np.count_nonzero(matches >= 0), np.count_nonzero(occluded), np.count_nonzero(explained)
+    return int(matched), int(hidden), int(near)
+
+
+@njit(cache=True, nogil=True)
+def gap_counts(
+    T: Floats,
+    points: Floats,
+    normals: Floats,
+    visible: NDArray[np.bool_],
+    depth: Singles,
+    K: Floats,
+    radius: int,
+    tolerance: float,
+) -> tuple[int, int, int, int]:
+    """Return the numbers of visible samples, of those with a depth, and of these on and before the measured surface.
+
+    A sample is on it if their distance by :func:`surface_gaps` is at most ``tolerance`` [m].
+    """
+    gaps = surface_gaps(T, points, normals, visible, depth, K, radius)
+    seen, known, on, before = 0, 0, 0, 0
+    for m in range(len(gaps)):
+        if visible[m]:
+            seen += 1
+        if np.isnan(gaps[m]):
+            continue
+        known += 1
+        if abs(gaps[m]) <= tolerance:
+            on += 1
+        elif gaps[m] > tolerance:
+            before += 1
+    return seen, known, on, before
 
 
 @njit(cache=True, nogil=True)

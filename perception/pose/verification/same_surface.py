@@ -35,11 +35,15 @@ class SameSurface:
         return np.array([self._share(motion) >= SHARE for motion in motions], np.bool_)
 
     def _share(self, motion: Floats) -> float:
-        """Return the share of samples that a (4, 4) motion in the part frame leaves on the surface."""
+        """Return the share of samples that a (4, 4) motion in the part frame leaves on the surface; 0 below `SHARE`."""
         surface = self._surface
         points, normals = surface.points @ motion[:3, :3].T + motion[:3, 3], surface.normals @ motion[:3, :3].T
-        distance, nearest = self._tree.query(points)
+        distance, found = self._tree.query(points, distance_upper_bound=2 * surface.spacing)
+        near = np.isfinite(distance)
+        if np.count_nonzero(near) < SHARE * len(points):
+            return 0.0
+        points, normals, nearest = points[near], normals[near], np.asarray(found)[near]
         gaps = np.abs(np.einsum("ni,ni->n", points - surface.points[nearest], surface.normals[nearest]))
         facing = np.einsum("ni,ni->n", normals, surface.normals[nearest])
-        stays = (gaps <= DISTANCE * surface.d_max) & (distance < 2 * surface.spacing) & (facing > _FACING)
-        return float(stays.mean())
+        stays = (gaps <= DISTANCE * surface.d_max) & (facing > _FACING)
+        return np.count_nonzero(stays) / len(surface.points)

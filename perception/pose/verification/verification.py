@@ -9,7 +9,7 @@ from perception.frame import Frame
 from perception.geometry import Floats
 from perception.pose.model.appearances import SeenEdges
 from perception.pose.model.surface_models import SurfaceModel
-from perception.pose.verification import _refine_kernels, _verification_kernels
+from perception.pose.verification import _verification_kernels
 from perception.pose.verification.boundary_index import BoundaryIndex
 from perception.pose.verification.refinement import require_depth, require_pose, view_direction
 
@@ -151,16 +151,17 @@ def verify(
     T = require_pose(T_cam_part)
     require_depth(group.frame)
     edge_score, explained = edge_scores(T, edges, group, config)
-    gaps, measured = _gaps(T, surface, group.frame, config.window)
-    tolerance = surface_tolerance(edges.d_max, config)
-    support = float(np.mean(np.abs(gaps) <= tolerance)) if len(gaps) else 0.0
-    violation = float(np.mean(gaps > tolerance)) if len(gaps) else 0.0
+    frame, tolerance = group.frame, surface_tolerance(edges.d_max, config)
+    visible, known, on, before = _verification_kernels.gap_counts(
+        T, surface.points, surface.normals, surface.visible(T), frame.depth, frame.K, config.window, tolerance
+    )
+    support, violation = (on / known, before / known) if known else (0.0, 0.0)
     return Verdict(
         edge_score=edge_score,
         explained=explained,
         support=support,
         violation=violation,
-        measured=measured,
+        measured=known / max(visible, 1),
         logit=ranking_logit(edge_score, explained, support, violation, config),
     )
 
@@ -183,15 +184,24 @@ def edge_scores(
     points, tangents = edges.seen_from(view_direction(T, edges.centre))
     gate, min_cosine = config.edge_distance * edges.d_max, float(np.cos(config.edge_angle))
     depth_gate = max(gate, EDGE_TOLERANCE * config.noise)
-    matches = group.boundary.match(T, points, tangents, gate=gate, max_angle=config.edge_angle, depth_gate=depth_gate)
-    occluded = _verification_kernels.occluded_points(
-        T, points, matches, group.frame.depth, group.frame.K, surface_tolerance(edges.d_max, config), OCCLUSION_RADIUS
+    frame, tolerance = group.frame, surface_tolerance(edges.d_max, config)
+    matched, occluded, explained = _verification_kernels.edge_counts(
+        T,
+        points,
+        tangents,
+        *group.boundary.arrays,
+        gate,
+        depth_gate,
+        min_cosine,
+        frame.depth,
+        frame.K,
+        tolerance,
+        OCCLUSION_RADIUS,
+        group.points_cam,
+        group.tangents_cam,
     )
-    matched, visible = np.count_nonzero(matches >= 0), len(points) - np.count_nonzero(occluded)
-    explained = _verification_kernels.explained_points(
-        T, points, tangents, group.points_cam, group.tangents_cam, gate, depth_gate, min_cosine
-    )
-    return float(matched / visible) if visible else 0.0, float(np.mean(explained)) if len(explained) else 0.0
+    visible, size = len(points) - occluded, len(group.points_cam)
+    return matched / visible if visible else 0.0, explained / size if size else 0.0
 
 
 def ranking_logit(
@@ -210,11 +220,3 @@ def ranking_logit(
 def surface_tolerance(d_max: float, config: VerificationConfig) -> float:
     """Return the largest distance between the model's surface and the measured one with which they agree [m]."""
     return max(config.surface_distance * d_max, TOLERANCE * config.noise)
-
-
-def _gaps(T: Floats, surface: SurfaceModel, frame: Frame, window: int) -> tuple[Floats, float]:
-    """Return how far the measured surface lies behind (+) or before (-) the visible samples [m], and their share."""
-    visible = surface.visible(T)
-    gaps = _refine_kernels.surface_gaps(T, surface.points, surface.normals, visible, frame.depth, frame.K, window)
-    known: Floats = gaps[~np.isnan(gaps)]
-    return known, len(known) / max(int(np.count_nonzero(visible)), 1)

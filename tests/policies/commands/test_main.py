@@ -29,7 +29,10 @@ from tests.policies.commands.command_calls import ROOT, run_script, script, star
 HEAVY = ("torch", "mujoco", "numba", "cv2", "trimesh", "scipy", "mink", "stable_baselines3", "tqdm")
 NAMES = [command.name for command in COMMANDS]
 SUBCOMMANDS = {
-    "bench": ("cell", "segmentation", "pose", "selection"),
+    "bench": (
+        *("cell", "segmentation", "pose", "selection"),
+        *("frame", "camera", "attempt", "select", "scenes", "training"),
+    ),
     "s3dis": ("synthesize", "prepare", "train", "evaluate"),
     "train-selector": ("ppo", "bandit"),
 }
@@ -249,7 +252,7 @@ def test_every_output_of_a_command_is_checked_before_its_work() -> None:
             "cloud",
             "frames_in",
         }
-        read |= {"compare", "opencv_python", "open3d_python", "logs"}
+        read |= {"compare", "opencv_python", "open3d_python", "logs", "against"}
         assert names - read <= set(command_line._FILES + command_line._FOLDERS), command.name
 
 
