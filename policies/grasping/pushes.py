@@ -22,6 +22,8 @@ _YAWS = 4  # orientations of the fingertips that are tried, over half a turn
 _TILTS = (0.0, 0.35, 0.7)  # leans of the gripper that are tried [rad]
 _STEPPED_OVER = 0.004  # height above a part's underside up to which others are no obstacle for it [m]
 _EDGE_CELLS = 4  # number of cells by which obstacles under the part's outline may grow: its edges and noise
+_SAME_PLACE = 0.010  # distance between the beginnings of two pushes up to which they are alike [m]
+_SAME_WAY = float(np.cos(np.radians(30)))  # cosine of the angle between their ways up to which they are alike
 _ENOUGH = 8  # number of clear grasps from which more are not worth a longer way
 _WAYS = 4  # ways of a part that are tried
 _POINTS = 12  # places on a part that are tried
@@ -65,6 +67,13 @@ class Push:
     drag_world: Floats
     candidate: int
     score: float
+
+    def resembles(self, other: "Push") -> bool:
+        """Return whether another push begins within 10 mm of this one and leads the same way to 30 degrees."""
+        if np.linalg.norm(self.T_world_tips[:3, 3] - other.T_world_tips[:3, 3]) > _SAME_PLACE:
+            return False
+        lengths = float(np.linalg.norm(self.drag_world) * np.linalg.norm(other.drag_world))
+        return float(self.drag_world @ other.drag_world) > _SAME_WAY * lengths
 
 
 def find_pushes(
@@ -160,9 +169,10 @@ def _ways(
         direction = np.array([np.cos(angle), np.sin(angle)])
         blocked = blocked_before
         for step in np.arange(_STEP, settings.travel + 1e-9, _STEP):
-            i, j = (covered + np.round(step * direction / cell).astype(int)).T
-            if min(i.min(), j.min()) < 0 or np.any(i >= free.shape[0]) or np.any(j >= free.shape[1]):
+            moved = covered + np.round(step * direction / cell).astype(int)
+            if np.any(moved < 0) or np.any(moved >= free.shape):
                 break
+            i, j = moved.T
             blocked_now = int((surroundings.heights[i, j] > under).sum())
             if np.any(outside[i, j]) or blocked_now > blocked + _EDGE_CELLS:
                 break

@@ -1,6 +1,7 @@
 """How often parts may be put back or pushed in a bin."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,11 +11,27 @@ PER_PART = 2  # largest number of extra decisions for a part
 SHARE = 0.2  # largest share of a bin's decisions that may be extra ones
 
 
+class _Move(NamedTuple):
+    """A decision that moved a part without delivering it."""
+
+    start: Floats  # (3,) place of the part before [m]
+    end: Floats  # (3,) place that it was moved to [m]
+    times: int  # number of such decisions on this part so far
+
+    def distance(self, place: Floats) -> float:
+        """Return the distance of a (3,) place from the way between start and end [m]."""
+        way = self.end - self.start
+        length = float(way @ way)
+        share = float(np.clip((place - self.start) @ way / length, 0.0, 1.0)) if length > 0 else 0.0
+        return float(np.linalg.norm(self.start + share * way - place))
+
+
 @dataclass(eq=False, kw_only=True)
 class ExtraDecisions:
     """Counts the decisions of one bin, and among them those that move a part without delivering it.
 
-    Parts are not tracked from frame to frame: places identify them. The count of a part goes on where it was moved to.
+    Parts are not tracked from frame to frame: places identify them. The count of a part goes on where it was moved to,
+    and where it was, and between, since it may not have followed.
 
     Attributes:
         radius: Distance between two places under which they belong to the same part [m].
@@ -25,8 +42,8 @@ class ExtraDecisions:
     radius: float
     decisions: int = 0
     extra: int = 0
-    _moved: list[tuple[Floats, int]] = field(default_factory=list)
-    _put_back: list[tuple[Floats, int]] = field(default_factory=list)
+    _moved: list[_Move] = field(default_factory=list)
+    _put_back: list[_Move] = field(default_factory=list)
 
     def decided(self) -> None:
         """Count a decision."""
@@ -45,12 +62,14 @@ class ExtraDecisions:
     def moved(self, centre_world: Floats, to_world: Floats) -> None:
         """Note that the last decision moved the part at a (3,) place to another one [m]."""
         self.extra += 1
-        self._moved.append((np.asarray(to_world), self._times(centre_world) + 1))
+        self._moved.append(_Move(np.asarray(centre_world), np.asarray(to_world), self._times(centre_world) + 1))
 
     def put_back(self, centre_world: Floats, to_world: Floats) -> None:
         """Note that the last decision put parts from a (3,) place back to another one [m]."""
-        self._put_back.append((np.asarray(to_world), self.times_put_back(centre_world) + 1))
-        self.moved(centre_world, to_world)
+        place = np.asarray(to_world)  # the jaw held them on the way
+        self.extra += 1
+        self._put_back.append(_Move(place, place, self.times_put_back(centre_world) + 1))
+        self._moved.append(_Move(place, place, self._times(centre_world) + 1))
 
     def times_put_back(self, centre_world: Floats) -> int:
         """Return how often the part at a (3,) place was put back together with another one [m]."""
@@ -59,5 +78,5 @@ class ExtraDecisions:
     def _times(self, centre_world: Floats) -> int:
         return self._most(self._moved, centre_world)
 
-    def _most(self, moves: list[tuple[Floats, int]], centre_world: Floats) -> int:
-        return max((times for place, times in moves if np.linalg.norm(place - centre_world) < self.radius), default=0)
+    def _most(self, moves: list[_Move], centre_world: Floats) -> int:
+        return max((move.times for move in moves if move.distance(centre_world) < self.radius), default=0)

@@ -115,6 +115,7 @@ class ScriptedPicker:
         seed = max(self._env.np_random_seed, 0)  # -1 where the generator was given
         rng = np.random.default_rng([seed, _WRIST_STREAM])
         self._wrist = WristForceSensor(self._env.simulation, self.settings.doubles.force, rng)
+        self._pushed: list[Push] = []  # pushes in this bin
         self._refused: ObservedScene | None = None  # scene of the last decision if it was an abstention
 
     def pick(self) -> PickResult:
@@ -269,7 +270,12 @@ class ScriptedPicker:
             if scene is None or not scene.candidates:
                 continue
             pushes = find_pushes(scene, self.grasp_set, self.gripper, settings.push, settings.rank)
-            allowed = [push for push in pushes if self._extra.allows(scene.candidates[push.candidate].centre_world)]
+            allowed = [
+                push
+                for push in pushes
+                if self._extra.allows(scene.candidates[push.candidate].centre_world)
+                and not any(push.resembles(other) for other in self._pushed)
+            ]
             planned = self._pusher.plan(allowed, self._pile_height())
             if planned is not None:
                 push, press = planned
@@ -284,6 +290,7 @@ class ScriptedPicker:
         outcome, planning = self._pusher.execute(push, press, execution, self._go_home)
         motion = env.simulation.time - began
         self._extra.moved(candidate.centre_world, candidate.centre_world + push.drag_world)
+        self._pushed.append(push)
         if outcome is not PushOutcome.LEFT_BIN and isinstance(self._decide(), Plan):
             outcome = PushOutcome.FREED
         return PickResult(

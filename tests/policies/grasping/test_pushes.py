@@ -10,7 +10,7 @@ from policies.grasping.clearance import clear_among
 from policies.grasping.grasps import GraspSettings, sample_grasps
 from policies.grasping.gripper import gripper_model
 from policies.grasping.observed_scene import ObservedScene
-from policies.grasping.pushes import PushSettings, find_pushes
+from policies.grasping.pushes import Push, PushSettings, find_pushes
 from tests.policies.grasp_cell import WALL, box, candidate, in_bin, look, placed, workspace
 
 BLOCK = (0.06, 0.06, 0.02)
@@ -91,6 +91,17 @@ def test_a_part_that_lies_on_another_slides_over_it(grasps, gripper) -> None:
     pushes = find_pushes(scene_of(grasps, lying_on, unknown=[under]), grasps, gripper)
     assert pushes
     assert all(way_in_bin(push)[1] < 0 for push in pushes)
+
+
+def test_pushes_are_alike_that_begin_at_one_place_and_lead_one_way():
+    def push(x, angle):
+        tips = placed(x, 0.0, 0.02)
+        way = np.array([0.05 * np.cos(angle), 0.05 * np.sin(angle), -0.001])
+        return Push(T_world_tips=tips, drag_world=way, candidate=0, score=1.0)
+
+    assert push(0.0, 0.0).resembles(push(0.009, np.radians(29)))
+    assert not push(0.0, 0.0).resembles(push(0.011, 0.0))
+    assert not push(0.0, 0.0).resembles(push(0.0, np.radians(31)))
 
 
 def test_without_candidates_there_is_no_push(grasps, gripper) -> None:

@@ -42,3 +42,11 @@ def test_put_backs_count_as_moves_and_apart_from_pushes():
     extra.put_back(THERE, FAR)
     assert extra.times_put_back(FAR) == 1
     assert not extra.allows(FAR)
+
+
+def test_a_part_that_did_not_follow_counts_where_it_was_and_on_the_way():
+    extra = after(100, (HERE, FAR), (HERE, FAR))
+    assert not extra.allows(HERE)
+    assert not extra.allows(0.5 * (HERE + FAR))
+    assert not extra.allows(FAR)
+    assert extra.allows(FAR + THERE)
