@@ -42,8 +42,6 @@ class EstimatorConfig:
         leftovers: When the points that poses leave over are searched for another part.
         hypotheses: Number of hypotheses that are tried for each group, those with most votes first.
         most_hypotheses: Number of hypotheses that are tried while none of them is good enough.
-        promising: Share of the largest number of edge points that a possible hypothesis about the same group has
-            matched so far; one that matches fewer is dropped before it is compared with the depth, in [0, 1].
         sure: Logistic function of the logit with which a hypothesis is good enough, in [0, 1].
         finalists: Number of hypotheses that are refined fully, those with the highest logit first.
         scene_hypotheses: Number of hypotheses that are tried in a whole scene.
@@ -67,7 +65,6 @@ class EstimatorConfig:
     leftovers: LeftoverConfig = field(default_factory=LeftoverConfig)
     hypotheses: int = 4
     most_hypotheses: int = 12
-    promising: float = 0.5
     sure: float = 0.9
     finalists: int = 2
     scene_hypotheses: int = 100
@@ -79,7 +76,7 @@ class EstimatorConfig:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.most_hypotheses < self.hypotheses:
             raise ValueError(f"most_hypotheses must be at least {self.hypotheses}, got {self.most_hypotheses}")
-        for name in ("min_score", "promising", "sure"):
+        for name in ("min_score", "sure"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be in [0, 1], got {getattr(self, name)}")
 

@@ -41,24 +41,16 @@ class GroupSearch:
         self._estimate: PoseEstimate | None = None  # of the best hypothesis among the present ones
 
     def add(self, poses: Floats) -> None:
-        """Refine (C, 4, 4) poses coarsely in turn until one is good enough, and keep those that are possible.
-
-        A pose whose edges match far fewer boundary points than those of an earlier possible one is not compared
-        with the depth.
-        """
-        config, self._estimate, most = self._config, None, 0
+        """Refine (C, 4, 4) poses coarsely in turn until one is good enough, and keep those that are possible."""
+        config, self._estimate = self._config, None
         for T_cam_part in poses:
             enough = len(self._hypotheses) >= config.hypotheses
             if enough and any(found.verdict.score >= config.sure and not found.penalty for found in self._hypotheses):
                 break
-            fitted = self._scorer.fit_edges(T_cam_part)
-            if fitted.inliers < config.promising * most:
-                continue
-            found = self._scorer.fit_surface(fitted.T_cam_part)
+            found = self._scorer.refine_coarsely(T_cam_part)
             penalised = self._penalised(found)
             if penalised is not None:
                 self._hypotheses.append(penalised)
-                most = max(most, fitted.inliers)
             elif self._best_impossible is None or found.logit > self._best_impossible.logit:
                 self._best_impossible = found
 

@@ -17,7 +17,7 @@ from perception.pose.verification.expected_error import ExpectedError, expected_
 from perception.pose.verification.joint_refinement import refine_jointly
 from perception.pose.verification.mismatch import Mismatch, find_mismatch
 from perception.pose.verification.perturbation import score_drop
-from perception.pose.verification.refinement import RefinedPose, refine_edges, refine_surface
+from perception.pose.verification.refinement import refine_edges, refine_surface
 from perception.pose.verification.same_surface import SameSurface
 from perception.pose.verification.verification import ObservedGroup, Verdict, verify
 
@@ -88,16 +88,9 @@ class HypothesisScorer:
 
     def refine_coarsely(self, T_cam_part: Floats) -> ScoredHypothesis:
         """Refine a (4, 4) pose in few steps with few model points, and score the result with all of them."""
-        return self.fit_surface(self.fit_edges(T_cam_part).T_cam_part)
-
-    def fit_edges(self, T_cam_part: Floats) -> RefinedPose:
-        """Return a (4, 4) pose after the first half of :meth:`refine_coarsely`, on boundary points."""
-        return refine_edges(T_cam_part, self._models.coarse_edges, self._group.boundary, self._config.quick_edges)
-
-    def fit_surface(self, T_cam_part: Floats) -> ScoredHypothesis:
-        """Refine a (4, 4) pose on the depth image, the second half of :meth:`refine_coarsely`, and score the result."""
         models, config = self._models, self._config
-        fitted = refine_surface(T_cam_part, models.coarse_surface, self._group.frame, config.quick_surface)
+        edges_fitted = refine_edges(T_cam_part, models.coarse_edges, self._group.boundary, config.quick_edges)
+        fitted = refine_surface(edges_fitted.T_cam_part, models.coarse_surface, self._group.frame, config.quick_surface)
         return self._scored(fitted.T_cam_part, final=False)
 
     def refine_fully(self, T_cam_part: Floats) -> ScoredHypothesis:

@@ -167,7 +167,7 @@ def test_the_margin_is_the_lead_over_poses_that_differ(monkeypatch: pytest.Monke
     judged: list[tuple[Floats, float]] = []
     verify = hypothesis_scoring.verify
 
-    searching = quick_estimator(ELL, replace(CONFIG, sure=1.0, promising=0.0))  # many rivals
+    searching = quick_estimator(ELL, replace(CONFIG, sure=1.0))
 
     def noted(T: Floats, edges: Any, *rest: Any) -> Any:
         verdict = verify(T, edges, *rest)
@@ -333,7 +333,7 @@ def test_as_many_hypotheses_are_refined_as_are_asked_for(monkeypatch: pytest.Mon
         return refine(T, model, boundary, config)
 
     monkeypatch.setattr(hypothesis_scoring, "refine_edges", counted)
-    config = replace(CONFIG, hypotheses=2, most_hypotheses=5, finalists=2, scene_hypotheses=3, sure=1.0, promising=0.0)
+    config = replace(CONFIG, hypotheses=2, most_hypotheses=5, finalists=2, scene_hypotheses=3, sure=1.0)
     scene = scene_of(ELL, LEANING, clutter=300)  # votes for many poses
     group = [Instance(point_idx=np.arange(len(scene.boundary)), score=1.0)]
     for sure, looked_at in ((1.0, 5), (0.1, 2)):
@@ -362,7 +362,6 @@ def test_the_parts_models_are_made_with_the_settings(monkeypatch: pytest.MonkeyP
         ({"hypotheses": 0}, "hypotheses must be at least 1, got 0"),
         ({"most_hypotheses": 0}, "most_hypotheses must be at least 1, got 0"),
         ({"most_hypotheses": 3}, "most_hypotheses must be at least 4, got 3"),
-        ({"promising": 1.5}, r"promising must be in \[0, 1\], got 1.5"),
         ({"sure": 90.0}, r"sure must be in \[0, 1\], got 90.0"),
         ({"finalists": -1}, "finalists must be at least 1, got -1"),
         ({"scene_hypotheses": 0}, "scene_hypotheses must be at least 1, got 0"),

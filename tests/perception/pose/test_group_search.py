@@ -11,7 +11,6 @@ from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.group_search import GroupSearch
 from perception.pose.hypothesis_scoring import ScoredHypothesis
 from perception.pose.pose_estimate import PoseEstimate
-from perception.pose.verification.refinement import RefinedPose
 from perception.pose.verification.verification import Verdict
 
 CONFIG = EstimatorConfig(hypotheses=2, most_hypotheses=5, sure=0.9, finalists=1)
@@ -29,27 +28,16 @@ def poses(*places: float) -> Floats:
 class Scorer:
     """Coarse refinement keeps a pose, full refinement moves it by 0.5; ``logits`` are by place, 0 elsewhere."""
 
-    def __init__(
-        self,
-        logits: dict[float, float],
-        near: dict[float, Sequence[float]] | None = None,
-        inliers: dict[float, int] | None = None,
-    ) -> None:
+    def __init__(self, logits: dict[float, float], near: dict[float, Sequence[float]] | None = None) -> None:
         self.logits = logits
         self.near = near or {}
-        self.inliers = inliers or {}
         self.asked: list[tuple[str, float]] = []
-        self.estimated = 0
 
     def scored(self, x: float, final: bool) -> ScoredHypothesis:
         (T,) = poses(x)
         return ScoredHypothesis(T_cam_part=T, verdict=replace(NOTHING, logit=self.logits.get(x, 0.0)), final=final)
 
-    def fit_edges(self, T: Floats) -> RefinedPose:
-        inliers = self.inliers.get(place(T), 20)
-        return RefinedPose(T_cam_part=T, error=0.0, inliers=inliers, iterations=1, converged=True)
-
-    def fit_surface(self, T: Floats) -> ScoredHypothesis:
+    def refine_coarsely(self, T: Floats) -> ScoredHypothesis:
         self.asked.append(("coarse", place(T)))
         return self.scored(place(T), final=False)
 
@@ -67,7 +55,6 @@ class Scorer:
     def estimate(
         self, best: ScoredHypothesis, rivals: Sequence[ScoredHypothesis], drop: float, instance_idx: int
     ) -> PoseEstimate:
-        self.estimated += 1
         return PoseEstimate(
             T_cam_part=best.T_cam_part,
             score=1 / (1 + len(rivals)),
@@ -92,21 +79,6 @@ def best_place(search: GroupSearch) -> float | None:
     found = search.best()
     assert found is None or (found.instance_idx, found.score_drop) == (7, 1.0)
     return None if found is None else place(found.T_cam_part)
-
-
-@pytest.mark.parametrize(("promising", "tried"), [(0.5, [0, 1, 3, 4]), (0.0, [0, 1, 2, 3, 4]), (1.0, [0, 1, 4])])
-def test_hypotheses_whose_edges_match_little_are_not_compared_with_the_depth(
-    promising: float, tried: list[int]
-) -> None:
-    scorer = Scorer({}, inliers={0.0: 10, 1.0: 40, 2.0: 19, 3.0: 20, 4.0: 40})
-    searching(scorer, 0.0, 1.0, 2.0, 3.0, 4.0, config=replace(CONFIG, promising=promising))
-    assert scorer.asked == [("coarse", float(x)) for x in tried]
-
-
-def test_an_impossible_hypothesis_says_nothing_about_how_much_edges_can_match() -> None:
-    scorer = Scorer({}, inliers={5.0: 90, 0.0: 10})
-    searching(scorer, 5.0, 0.0, most=4.0)
-    assert scorer.asked == [("coarse", 5.0), ("coarse", 0.0)]
 
 
 @pytest.mark.parametrize(("logit", "tried"), [(2.1, 5), (2.3, 3)])  # logistic function: 0.89 and 0.91
@@ -138,21 +110,6 @@ def test_only_the_finalists_are_refined_fully_and_only_once() -> None:
     for _ in range(2):
         assert best_place(search) == 1.0
         assert scorer.asked[3:] == [("full", 1.0), ("full", 2.0), ("drop", 1.0)]
-
-
-def test_an_estimate_is_made_anew_only_when_a_hypothesis_came_or_went() -> None:
-    scorer = Scorer({0.0: 1.0, 1.0: 3.0, 2.0: 2.0})
-    search = searching(scorer, 0.0, 1.0, 2.0, config=replace(CONFIG, sure=1.0))
-    first = search.best()
-    assert not search.rule_out(lambda T: place(T) > 9)
-    assert search.best() is first
-    assert search.rule_out(lambda T: place(T) == 2.0)
-    fewer = search.best()
-    assert (fewer.score if fewer else 0) == 1 / 2  # one rival is left
-    search.add(poses(4.0))
-    again = search.best()
-    assert (again.score if again else 0) == 1 / 3
-    assert scorer.estimated == 3
 
 
 def test_the_next_best_takes_the_place_of_one_that_is_ruled_out() -> None:
