@@ -198,9 +198,9 @@ def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, s
     chosen = np.flatnonzero(rough)
     counts["clear of the part when open"] = len(chosen)
     if len(chosen) > settings.max_checked:
-        floor = chosen[chosen < len(T_floor)][: settings.max_checked // 4]
-        others = chosen[chosen >= len(T_floor)]
-        chosen = np.append(floor, np.sort(rng.choice(others, settings.max_checked - len(floor), replace=False)))
+        off_floor, others = chosen[chosen < len(T_floor)], chosen[chosen >= len(T_floor)]
+        off_floor = _drawn(off_floor, max(settings.max_checked // 4, settings.max_checked - len(others)), rng)
+        chosen = np.append(off_floor, _drawn(others, settings.max_checked - len(off_floor), rng))
     T, contacts = T[chosen], close_pads(mesh, T[chosen], width[chosen], scale)
     T[:, :3, 3] += contacts.shift[:, None] * T[:, :3, 1]
     firm = (contacts.area >= scale**2 * settings.min_area) & (contacts.alignment >= settings.min_cosine)
@@ -228,6 +228,11 @@ def _compute(model: PartModel, settings: GraspSettings, gripper: GripperModel, s
         return grasps.take(_spread(grasps, settings.max_grasps, shallow))
 
     return spread(_replicate(spread(found), model))
+
+
+def _drawn(indices: NDArray[np.int64], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return at most ``count`` of (N,) rising indices, drawn evenly, rising."""
+    return indices if len(indices) <= count else np.sort(rng.choice(indices, count, replace=False))
 
 
 def _contact_scale(mesh: trimesh.Trimesh, settings: GraspSettings) -> float:

@@ -27,7 +27,8 @@ class Abstention(StrEnum):
     """Why no attempt was made."""
 
     NO_CANDIDATE = "no_candidate"  # perception found no part
-    NO_CLEAR_APPROACH = "no_clear_approach"  # every grasp would touch a neighbour or a wall, or failed before
+    # every grasp would touch a neighbour or a wall, failed before, or is on a part that seems to lie under others
+    NO_CLEAR_APPROACH = "no_clear_approach"
     IK_INFEASIBLE = "ik_infeasible"  # clear grasps exist, but the arm reaches none of them
 
 

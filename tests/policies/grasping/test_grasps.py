@@ -211,6 +211,25 @@ def test_finer_rays_find_a_shallow_contact():
     assert fine.width[0] == pytest.approx(0.03, abs=1e-6)
 
 
+@pytest.mark.parametrize("most", [20, 60, 100, 140])
+def test_of_a_thin_part_no_more_poses_are_checked_than_asked_for(most, monkeypatch):
+    checked = []
+
+    def close(mesh, T, *arguments):
+        checked.append(T)
+        return close_pads(mesh, T, *arguments)
+
+    monkeypatch.setattr("policies.grasping.grasps.close_pads", close)
+    plate = PartModel.from_mesh("plate", trimesh.creation.box(extents=(0.06, 0.05, 0.011)))
+    sample_grasps(plate, GraspSettings(samples=60, turns=1, depths=(0.0,), max_checked=most), seed=most)
+    assert len(checked[0]) == most
+    # The fingertips of the first ones end 1.3 or 2.8 mm above the one broad side or the other.
+    assert (
+        np.sum(np.isclose(np.abs(checked[0][:, 2, 3]), 0.0042) | np.isclose(np.abs(checked[0][:, 2, 3]), 0.0027))
+        >= most // 4
+    )
+
+
 @pytest.mark.parametrize("thickness", [0.004, 0.006])
 def test_a_plate_on_the_floor_can_be_picked_up_by_its_rim(thickness):
     plate = PartModel.from_mesh("plate", trimesh.creation.box(extents=(0.06, 0.04, thickness)))
