@@ -19,9 +19,10 @@ import cv2  # noqa: E402
 
 from perception.runtime.cache import digest  # noqa: E402
 from tests.chromium import chromium  # noqa: E402
-from tests.memory import end_file, give_back  # noqa: E402
+from tests.memory import end_file, give_back, release_large_blocks  # noqa: E402
 
 cv2.setNumThreads(1)
+release_large_blocks()
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("perception", "binpick_env", "policies")

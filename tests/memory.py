@@ -12,6 +12,7 @@ from typing import Any
 GROWTH = 50e6  # growth of the process since memory was last given back, from which more is given back [bytes]
 FILE_GROWTH = 25e6  # the same at the end of a file of tests, when the cells that its tests shared are gone
 AMPLE = 900e6  # size of the process up to which caches are kept and freed memory is left for the next cell [bytes]
+_MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of mallopt(3)
 _RESIDENT = Path("/proc/self/statm")
 # Caches of cells, of networks and of parts with their tables, by module. Those that hold a few numbers stay.
 CACHES = {
@@ -84,6 +85,16 @@ def _empty_caches() -> None:
                     getattr(cache, method)()
     for results in FORGETTABLE:
         results.clear()
+
+
+def release_large_blocks() -> None:
+    """Have malloc take every block of at least 1 MB from the system, and return it as soon as it is freed.
+
+    Its own threshold rises to 32 MB with the first large block that is freed. Large arrays then lie between small ones,
+    and hundreds of megabytes that are free can be given back by no trim.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 20)
 
 
 def _trim() -> None:

@@ -1,8 +1,10 @@
 """What a test process lets go of is still where it is looked for."""
 
 import importlib
+import sys
 from functools import lru_cache
 
+import numpy as np
 import pytest
 
 from tests import conftest, memory
@@ -34,6 +36,19 @@ def test_a_process_that_is_not_small_forgets(monkeypatch: pytest.MonkeyPatch, la
     remember(3)
     assert calls == [3, 3] if large else [3]
     assert _squared.cache_info().currsize == (0 if large else 1)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the resident size is read from /proc")
+def test_large_arrays_between_small_ones_go_back_to_the_system() -> None:
+    np.ones(3_000_000)  # malloc would take the size of what is freed for its threshold
+    before = memory._resident()
+    large, small = [], []
+    for _ in range(50):
+        large.append(np.ones(250_000))
+        small.append(np.ones(1000))
+    assert memory._resident() > before + 80e6
+    large.clear()
+    assert memory._resident() < before + 20e6
 
 
 @lru_cache
