@@ -39,9 +39,16 @@ class PushSettings:
     least_gain: float = 0.006  # smallest gain of room for which a push is made
     margin: float = 0.003  # smallest height of the gripper above everything but the part
     press_speed: float = 0.02  # share of the joints' velocity limit allowed on the way down, until the part is felt
-    drag_speed: float = 0.08  # the same while the part is dragged
-    press_on: float = 0.001  # depth that the fingertips are told to gain while they drag, so that they keep touching
-    press_force: float = 20.0  # contact force at which the way down ends and the drag begins
+    drag_speed: float = 0.03  # the same while the part is dragged
+    press_force: float = 20.0  # contact force at which the way down ends
+    press_time: float = 0.48  # time in which the fingertips press on the part before they drag it [s]
+    # Contact force that the fingertips keep while they drag. A part follows if the pads' friction (0.7) holds more of
+    # it than the ground's (0.5), which bears the weight as well: from 2.5 times the weight on.
+    drag_force: float = 25.0
+    compliance: float = 5e-5  # change of height in a control period for each newton that is missing [m/N]
+    largest_change: float = 4e-4  # largest change of height in a control period
+    lower: float = 0.012  # largest depth below the planned way
+    higher: float = 0.003  # largest height above it
     stop_force: float = 100.0  # contact force at which the push is broken off
     above: float = 0.006  # height above the part from which it is felt for
     depth: float = 0.025  # longest way down from where the part was observed; a leaning part gives way
@@ -58,7 +65,7 @@ class Push:
 
     Attributes:
         T_world_tips: (4, 4) frame of the closed fingertips' ends on the part, axes as those of a grasp.
-        drag_world: (3,) way of the fingertips while they press [m].
+        drag_world: (3,) level way of the fingertips while they press [m].
         candidate: Row of the pose candidate.
         score: Larger is tried first.
     """
@@ -141,8 +148,7 @@ def _of_part(
         for way_bin, way_world, gain in ways:
             for T_world_tips, tilt in _clear_tips(scene, row, centre_bin, way_bin, gripper, settings):
                 score = gain + worth - 0.5 * tilt
-                drag_world = way_world - np.array([0.0, 0.0, settings.press_on])
-                yield Push(T_world_tips=T_world_tips, drag_world=drag_world, candidate=row, score=score)
+                yield Push(T_world_tips=T_world_tips, drag_world=way_world, candidate=row, score=score)
 
 
 def _ways(

@@ -27,6 +27,8 @@ def interpolate_poses(T_a: Floats, T_b: Floats, spacing: float) -> Iterator[Floa
     steps = int(np.ceil(max(distance / spacing, angle / 0.05)))
     turn = T_a[:3, :3].T @ T_b[:3, :3]
     axis = mink.SO3.from_matrix(turn).log()
+    if not axis.any():  # it is zero up to angles that rounding gives two equal rotations
+        angle = 0.0
     for k in range(1, steps + 1):
         share = k / steps
         partial = rotation_about(axis, share * angle) if angle > 1e-12 else np.eye(3)

@@ -221,6 +221,15 @@ class AttemptPlanner:
         goal = make_transform(translation=way_world) @ self._ik.tcp_pose(q_from)
         return self._motion.plan_line(q_from, goal, Tool(opening=CLOSED_GAP), escaping=True, speed=speed).trajectory
 
+    def lowered(self, q_near: Floats, q_planned: Floats, depth: float) -> Floats | None:
+        """Return the (6,) posture next to ``q_near`` with the tcp ``depth`` [m] under that of ``q_planned`` [rad].
+
+        Contacts are not checked. None if there is no such posture near by.
+        """
+        goal = make_transform(translation=(0, 0, -depth)) @ self._ik.tcp_pose(q_planned)
+        line = self._ik.line(q_near, goal)
+        return line.q[-1] if line.complete else None
+
     def home(self, q_from: Floats) -> Trajectory | None:
         """Plan out of the bin and home with the jaw open from a (6,) posture [rad]; None if there is no free way."""
         tool = Tool(points_tcp=self._gripper.hull_points(0.0)[::_SPARSE])

@@ -1,5 +1,6 @@
 """One attempt, step by step: trajectories, jaw, force limit, and what the outcome depends on."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,9 +49,12 @@ class Execution:
                 return False
         return True
 
-    def until_force(self, trajectory: Trajectory, gripper: float, force: float) -> bool:
-        """Run a trajectory until the contact force reaches ``force`` [N]; return whether it did."""
-        for q in trajectory.q[1:]:
+    def until_force(self, way: Iterable[Floats], gripper: float, force: float) -> bool:
+        """Go through (6,) postures [rad] until the contact force reaches ``force`` [N]; return whether it did.
+
+        A posture is asked for when the arm is at the one before it.
+        """
+        for q in way:
             self._step(q, gripper)
             if self._env.simulation.robot_contact().force >= force:
                 return True

@@ -103,7 +103,7 @@ def test_the_guard_lets_the_stop_force_itself_pass() -> None:
 @pytest.mark.parametrize(("force", "steps", "felt"), [(9.9, 5, False), (10.0, 3, True)])
 def test_a_motion_until_a_force_ends_where_it_is_felt(force: float, steps: int, felt: bool) -> None:
     env = NoteEnv(force=lambda n: force if n == 3 else 0.0)
-    assert execution(env).until_force(trajectory(), 0.9, 10.0) is felt
+    assert execution(env).until_force(trajectory().q[1:], 0.9, 10.0) is felt
     assert len(env.actions) == steps
     assert np.all(sent(env)[:, 6] == np.float32(0.9))
 

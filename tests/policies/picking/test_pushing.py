@@ -54,6 +54,20 @@ def test_a_lid_in_a_corner_is_pushed_free_before_the_picker_gives_up(pushing: Ha
 
 
 @pytest.mark.slow
+def test_a_part_follows_the_fingertips_that_press_on_it(pushing: HandCell) -> None:
+    pushing.lay(at_wall(pushing))
+    pushing.picker.pick()
+    planned = pushing.picker._plan_push()
+    assert planned is not None
+    _, push, _ = planned
+    before = pushing.env.simulation.part_centres()[0]
+    pushing.picker._push(*planned)
+    moved = pushing.env.simulation.part_centres()[0] - before
+    along = float(moved @ push.drag_world) / float(np.linalg.norm(push.drag_world))
+    assert along > 0.7 * np.linalg.norm(push.drag_world)
+
+
+@pytest.mark.slow
 def test_a_push_that_meets_a_greater_force_is_broken_off(pushing: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
     careful = PickerSettings(push=PushSettings(press_force=5.0, stop_force=5.0))
     monkeypatch.setattr(pushing, "picker", ScriptedPicker(pushing.env, careful))
