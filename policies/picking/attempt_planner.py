@@ -120,6 +120,8 @@ class AttemptPlanner:
     ) -> Trajectory | None:
         """Plan the lift and the way to the tray with the part in the jaw; None if there is no free way.
 
+        The lift is slow where other parts seem to lie on this one, so that they slide off.
+
         Where the part leaves no way to the tray, the motion ends at home, which is above the tray; it is then checked
         for the gripper alone, and at full speed.
 
@@ -132,7 +134,11 @@ class AttemptPlanner:
         """
         part_tcp, tool = self._load(q_grasp, grasp, T_world_part)
         q_from = q_grasp if q_from is None else q_from
-        legs = StraightLegs(lift=self._motion.clearing_lift(q_from, tool) + _LIFT_MARGIN)
+        covered = grasp.features["buried"] > self._settings.most_buried
+        legs = StraightLegs(
+            lift=self._motion.clearing_lift(q_from, tool) + _LIFT_MARGIN,
+            speed=self._settings.slow_lift if covered else None,
+        )
         q_release = self._release_posture(part_tcp)
         to_tray = self._motion.plan_transfer(
             q_from, q_release, tool, legs, obstacle_height=pile, scale=self._settings.carry_scale

@@ -23,7 +23,7 @@ class ExecutionSettings:
 
     stop_force: float = 60.0  # largest contact force on the approach; beyond it, the approach is broken off
     close_time: float = 0.6  # longest wait for the closing jaw to come to rest
-    release_time: float = 0.24  # time in which the jaw opens before the arm leaves
+    release_time: float = 0.16  # time in which the jaw opens before the arm leaves
     settle_time: float = 1.5  # longest wait for the released part to be judged
 
 

@@ -20,9 +20,10 @@ class PickerSettings:
     # share of a part's outline under higher measurements beyond which it is picked only at a second look: what lies on
     # it comes along
     most_buried: float = 0.3
+    slow_lift: float = 0.05  # share of the joints' velocity limit allowed while such a part is lifted
     standoff: float = 0.06  # length of the straight approach
-    approach_speed: float = 0.25  # share of the joints' velocity limit allowed on the straight approach
-    carry_scale: float = 0.7  # share of velocity and acceleration limits used with a part in the jaw
+    approach_speed: float = 0.4  # share of the joints' velocity limit allowed on the straight approach
+    carry_scale: float = 0.9  # share of velocity and acceleration limits used with a part in the jaw
     release_height: float = 0.03  # height of the carried part's lowest point above the tray's floor at the release
     # Distance between the pads under which the jaw holds nothing, as read from the jaw's position. The closing force
     # bends the linkage: with a plate of 3 mm the position reads 1 mm, and -1 mm with nothing.

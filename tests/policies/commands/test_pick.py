@@ -197,3 +197,7 @@ def test_pushes_and_put_backs_are_on_unless_they_are_switched_off() -> None:
     assert (both.push.enabled, both.doubles.put_back) == (True, True)
     assert neither == PickerSettings().attempts_only()
     assert (neither.push.enabled, neither.doubles.put_back) == (False, False)
+
+
+def test_parts_that_others_lie_on_are_avoided_unless_that_is_switched_off() -> None:
+    assert pick.Arguments(avoid=False).config().picker == PickerSettings(most_buried=1.0)

@@ -1,5 +1,6 @@
 """The scripted picker taken apart: what it ranks, what it plans, what it executes."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -38,6 +39,19 @@ def test_a_pick_is_the_first_plan_executed(cell: HandCell) -> None:
     assert by_hand.outcome is picked.outcome is GraspOutcome.DELIVERED
     assert (by_hand.t_motion, by_hand.part, by_hand.frame_id) == (picked.t_motion, picked.part, picked.frame_id)
     assert picked.t_compute > by_hand.t_compute > 0.0  # perception and the decision are the pick's
+
+
+def test_a_part_that_others_seem_to_lie_on_is_lifted_slowly(cell: HandCell) -> None:
+    cell.lay(cell.flat(0.05))
+    plan, picker = first_plan(cell.picker), cell.picker
+    T_world_part = cell.env.candidates[plan.grasp.candidate].T_world_part
+    lifts = []
+    for buried in (picker.settings.most_buried, picker.settings.most_buried + 0.01):
+        grasp = replace(plan.grasp, features={**plan.grasp.features, "buried": buried})
+        carry = picker._planner.carry(plan.q_grasp, grasp, T_world_part, picker._pile_height())
+        assert carry is not None
+        lifts.append(float(carry.t[carry.marks[0]]))
+    assert lifts[1] > 1.5 * lifts[0]
 
 
 def test_grasps_come_by_falling_score(cell: HandCell) -> None:
