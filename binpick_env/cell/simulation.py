@@ -1,13 +1,13 @@
 """The physics of the cell: model and state, motion of the arm, parts in play, contacts."""
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.cell.jaw import open_command
+from binpick_env.cell.protective_stop import ProtectiveStop
 from binpick_env.cell.robot import ARM_JOINTS, FINGER_PADS, GRIPPER, GRIPPER_ACTUATOR, HOME, TCP_SITE
+from binpick_env.cell.robot_contact import RobotContact
 from binpick_env.cell.scene import BIN_BODY, PART, TABLE_GEOM, TRAY_BODY, cell_spec, parking_poses
 from binpick_env.cell.simulation_state import Origin, SimulationSnapshot
 from binpick_env.config import CONTROL_PERIOD, CellConfig
@@ -16,21 +16,6 @@ from perception.geometry import Floats, make_transform, matrix_from_quat, quat_f
 
 ARENA = 512 << 20  # memory of a state for contacts and constraints [bytes]
 _JAW_REST = 1.0  # time after which the jaw's linkage is at rest under a new command [s]
-
-
-@dataclass(frozen=True, kw_only=True)
-class RobotContact:
-    """Contact of the robot with its surroundings.
-
-    Attributes:
-        force: Sum of the magnitudes of the contact forces [N].
-        with_cell: Whether the robot touches the bin, the tray or the table.
-        parts: Indices of the parts that the robot touches.
-    """
-
-    force: float
-    with_cell: bool
-    parts: frozenset[int]
 
 
 class Simulation:
@@ -47,6 +32,7 @@ class Simulation:
         target: (6,) last joint targets [rad].
         gripper_target: Last gripper command, 0 open to 1 closed.
         gripper_open: Smallest gripper command that is obeyed: 0, or that of ``config.robot.jaw`` where one is set.
+        stopped: Whether the protective stop acted in the last control period.
         substeps: Number of physics steps in a control period.
     """
 
@@ -109,6 +95,8 @@ class Simulation:
         # (0.2 s), feeding the links' inertia forward what is left (15 mrad at 10 rad/s^2), as a real controller does.
         self._stiffness = model.actuator_gainprm[:6, 0]
         self._lag = -model.actuator_biasprm[:6, 2] / self._stiffness
+        limit = self.config.robot.protective_stop
+        self._stop = None if limit is None else ProtectiveStop(self.data, int(self._arm_dof[0]), self._tcp, limit)
         self._origin = Origin.of(model, self.config, self.part.model.name, self.capacity)
 
     # --- state -----------------------------------------------------------------------------------------------------
@@ -121,6 +109,7 @@ class Simulation:
         self.in_play: NDArray[np.bool_] = np.zeros(self.capacity, dtype=bool)
         self.target = HOME.copy()
         self._target_before = HOME.copy()
+        self.stopped = False
         self.gripper_target = self.gripper_open
         if self.gripper_open > 0:
             self.put_jaw(self._open_posture, self.gripper_open)
@@ -139,6 +128,7 @@ class Simulation:
             target=self.target.copy(),
             target_before=self._target_before.copy(),
             gripper_target=self.gripper_target,
+            stopped=self.stopped,
         )
 
     def restore(self, snapshot: SimulationSnapshot) -> None:
@@ -152,7 +142,7 @@ class Simulation:
         self.in_play = snapshot.in_play.copy()
         self.model.body_gravcomp[self._part_body] = np.where(self.in_play, 0.0, 1.0)
         self.target, self._target_before = snapshot.target.copy(), snapshot.target_before.copy()
-        self.gripper_target = snapshot.gripper_target
+        self.gripper_target, self.stopped = snapshot.gripper_target, snapshot.stopped
 
     def refresh(self) -> None:
         """Bring the bodies' poses up to date with the joints; after a step they are one time step behind."""
@@ -244,6 +234,9 @@ class Simulation:
     def step(self, joint_targets: Floats, gripper: float) -> None:
         """Advance by one control period.
 
+        Where the force at the tool exceeds ``config.robot.protective_stop``, the arm brakes for the rest of the period,
+        and the next one starts from where it stands.
+
         Args:
             joint_targets: (6,) arm joint positions to be reached at the period's end [rad]; the change from the last
                 target is held to the arm's velocity.
@@ -259,12 +252,19 @@ class Simulation:
         self.model.opt.noslip_iterations = self._noslip if self.gripped() else 0
         let_go = self.touched_by_robot() if jaw_to < jaw_from else None
         targets = np.stack([self._target_before, self.target, goal])
+        held = None
+        if self._stop is not None:
+            self._stop.prepare(self.model)
         for s, blend in zip(self._spline_times.tolist(), self._spline_blends, strict=True):
             velocity = velocity_before + s * (velocity_after - velocity_before)
-            self.data.ctrl[:6] = blend @ targets + self._lag * velocity + inertial
+            self.data.ctrl[:6] = blend @ targets + self._lag * velocity + inertial if held is None else held
             self.data.ctrl[self._gripper_actuator] = 255.0 * (jaw_from + s * (jaw_to - jaw_from))
             mujoco.mj_step(self.model, self.data)
-        self._target_before, self.target, self.gripper_target = self.target, goal, jaw_to
+            if self._stop is not None and held is None and self._stop.exceeded():
+                held = self.joint_positions
+        self.stopped = held is not None
+        self._target_before, self.target = (self.target, goal) if held is None else (held, held.copy())
+        self.gripper_target = jaw_to
         if let_go is not None:
             self._wake(let_go)
         self._check_finite()
