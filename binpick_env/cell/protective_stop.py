@@ -9,35 +9,53 @@ _DAMPING = 1e-4  # of the least squares near singular postures [m^2]: levers und
 
 
 class ProtectiveStop:
-    """Watches the force at the tool through the joints' torques, which is how the UR5e estimates it.
+    """Stops the arm where it presses harder than a limit, until a command leads away from what it pressed on.
 
-    The external torques are those of contacts and of joints at their ends; grip forces cancel out. What touches the
-    links before the tool counts as the force at the tool that would have the same torques.
+    The force at the tool follows from the external torques of the joints, as on a UR5e: those of contacts, and of
+    joints at their ends. Forces of the grip cancel out. A contact of another link counts as the force at the tool that
+    has the same torques.
+
+    Attributes:
+        against: (6,) external torques of the joints at which the arm stopped [N m]; None while it is not stopped.
     """
 
-    def __init__(self, data: mujoco.MjData, arm_dof: int, tcp: int, limit: float) -> None:
+    def __init__(self, data: mujoco.MjData, first_dof: int, tcp: int, limit: float | None) -> None:
         """Watch the arm of a cell.
 
         Args:
             data: State of the physics; it may change, but not be replaced.
-            arm_dof: First of the arm's six degrees of freedom.
+            first_dof: First of the arm's six degrees of freedom.
             tcp: Number of the site at the tool.
-            limit: Force at which the arm stops [N].
+            limit: Force at which the arm stops [N]; None lets it press as hard as it can.
         """
-        self._data, self._tcp, self._limit = data, tcp, limit**2
-        self._arm = slice(arm_dof, arm_dof + 6)
+        self._data, self._tcp = data, tcp
+        self._limit_squared = np.inf if limit is None else limit**2
+        self._arm = slice(first_dof, first_dof + 6)
         self._torque = data.qfrc_constraint[self._arm]  # a view, and so always that of the last physics step
         self._jacobian = np.zeros((6, len(data.qvel)))
-        self._force_of_torque = np.zeros((3, 6))
+        self.against: Floats | None = None
 
-    def prepare(self, model: mujoco.MjModel) -> None:
-        """Take the arm's posture for the readings that follow; a control period changes it little."""
+    def begin(self, model: mujoco.MjModel, change: Floats) -> bool:
+        """Begin a control period, and return whether the arm stays stopped throughout.
+
+        Args:
+            model: Compiled model.
+            change: (6,) change of the joint targets that is commanded [rad]. It leads away where the external torques
+                would do work along it.
+        """
         mujoco.mj_jacSite(model, self._data, self._jacobian[:3], self._jacobian[3:], self._tcp)
         jacobian = self._jacobian[:, self._arm]
-        # torque = jacobian^T @ (force, moment)
+        # torque = jacobian^T @ (force, moment). The posture changes little in a control period.
         self._force_of_torque = np.linalg.solve(jacobian @ jacobian.T + _DAMPING * np.eye(6), jacobian)[:3]
+        self._change = change
+        if self.against is not None and change @ self.against > 0:
+            self.against = None
+        return self.against is not None
 
-    def exceeded(self) -> bool:
-        """Tell whether the force in the last physics step was over the limit."""
-        force: Floats = self._force_of_torque @ self._torque
-        return bool(force @ force > self._limit)
+    def trips(self) -> bool:
+        """Tell whether the arm pressed too hard in the last physics step, and remember against what."""
+        force = self._force_of_torque @ self._torque
+        if force @ force <= self._limit_squared or self._change @ self._torque > 0:
+            return False
+        self.against = self._torque.copy()
+        return True

@@ -32,7 +32,6 @@ class Simulation:
         target: (6,) last joint targets [rad].
         gripper_target: Last gripper command, 0 open to 1 closed.
         gripper_open: Smallest gripper command that is obeyed: 0, or that of ``config.robot.jaw`` where one is set.
-        stopped: Whether the protective stop acted in the last control period.
         substeps: Number of physics steps in a control period.
     """
 
@@ -95,8 +94,7 @@ class Simulation:
         # (0.2 s), feeding the links' inertia forward what is left (15 mrad at 10 rad/s^2), as a real controller does.
         self._stiffness = model.actuator_gainprm[:6, 0]
         self._lag = -model.actuator_biasprm[:6, 2] / self._stiffness
-        limit = self.config.robot.protective_stop
-        self._stop = None if limit is None else ProtectiveStop(self.data, int(self._arm_dof[0]), self._tcp, limit)
+        self._stop = ProtectiveStop(self.data, int(self._arm_dof[0]), self._tcp, self.config.robot.protective_stop)
         self._origin = Origin.of(model, self.config, self.part.model.name, self.capacity)
 
     # --- state -----------------------------------------------------------------------------------------------------
@@ -109,7 +107,7 @@ class Simulation:
         self.in_play: NDArray[np.bool_] = np.zeros(self.capacity, dtype=bool)
         self.target = HOME.copy()
         self._target_before = HOME.copy()
-        self.stopped = False
+        self._stop.against = None
         self.gripper_target = self.gripper_open
         if self.gripper_open > 0:
             self.put_jaw(self._open_posture, self.gripper_open)
@@ -128,7 +126,7 @@ class Simulation:
             target=self.target.copy(),
             target_before=self._target_before.copy(),
             gripper_target=self.gripper_target,
-            stopped=self.stopped,
+            stopped_against=self._stop.against,
         )
 
     def restore(self, snapshot: SimulationSnapshot) -> None:
@@ -142,7 +140,7 @@ class Simulation:
         self.in_play = snapshot.in_play.copy()
         self.model.body_gravcomp[self._part_body] = np.where(self.in_play, 0.0, 1.0)
         self.target, self._target_before = snapshot.target.copy(), snapshot.target_before.copy()
-        self.gripper_target, self.stopped = snapshot.gripper_target, snapshot.stopped
+        self.gripper_target, self._stop.against = snapshot.gripper_target, snapshot.stopped_against
 
     def refresh(self) -> None:
         """Bring the bodies' poses up to date with the joints; after a step they are one time step behind."""
@@ -157,6 +155,11 @@ class Simulation:
     def time(self) -> float:
         """Simulated time [s]."""
         return float(self.data.time)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the protective stop holds the arm."""
+        return self._stop.against is not None
 
     @property
     def joint_positions(self) -> Floats:
@@ -234,8 +237,7 @@ class Simulation:
     def step(self, joint_targets: Floats, gripper: float) -> None:
         """Advance by one control period.
 
-        Where the force at the tool exceeds ``config.robot.protective_stop``, the arm brakes for the rest of the period,
-        and the next one starts from where it stands.
+        The arm brakes and stays where it is as long as a `ProtectiveStop` says so.
 
         Args:
             joint_targets: (6,) arm joint positions to be reached at the period's end [rad]; the change from the last
@@ -244,26 +246,24 @@ class Simulation:
         """
         reach = self.config.robot.max_velocity * CONTROL_PERIOD
         goal = self.target + np.clip(joint_targets - self.target, -reach, reach)
+        if self._stop.begin(self.model, goal - self.target):
+            goal = self.target
         velocity_before = (self.target - self._target_before) / CONTROL_PERIOD
         velocity_after = (goal - self.target) / CONTROL_PERIOD
-        acceleration = (velocity_after - velocity_before) / CONTROL_PERIOD
-        inertial = self._inertial_torque(acceleration) / self._stiffness
+        inertial = self._inertial_torque((velocity_after - velocity_before) / CONTROL_PERIOD) / self._stiffness
         jaw_from, jaw_to = self._jaw_ramp(gripper)
         self.model.opt.noslip_iterations = self._noslip if self.gripped() else 0
         let_go = self.touched_by_robot() if jaw_to < jaw_from else None
         targets = np.stack([self._target_before, self.target, goal])
         held = None
-        if self._stop is not None:
-            self._stop.prepare(self.model)
         for s, blend in zip(self._spline_times.tolist(), self._spline_blends, strict=True):
             velocity = velocity_before + s * (velocity_after - velocity_before)
             self.data.ctrl[:6] = blend @ targets + self._lag * velocity + inertial if held is None else held
             self.data.ctrl[self._gripper_actuator] = 255.0 * (jaw_from + s * (jaw_to - jaw_from))
             mujoco.mj_step(self.model, self.data)
-            if self._stop is not None and held is None and self._stop.exceeded():
+            if held is None and self._stop.trips():
                 held = self.joint_positions
-        self.stopped = held is not None
-        self._target_before, self.target = (self.target, goal) if held is None else (held, held.copy())
+        self._target_before, self.target = (self.target, goal) if held is None else (held, held)
         self.gripper_target = jaw_to
         if let_go is not None:
             self._wake(let_go)
@@ -288,6 +288,7 @@ class Simulation:
         self.data.qvel[self._arm_dof] = (target - target_before) / CONTROL_PERIOD
         self.data.qacc_warmstart[self._arm_dof] = 0.0
         self._target_before, self.target = np.array(target_before), np.array(target)
+        self._stop.against = None
 
     def put_jaw(self, posture: Floats, gripper: float) -> None:
         """Put the jaw's linkage at rest.

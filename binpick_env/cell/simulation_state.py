@@ -65,7 +65,7 @@ class SimulationSnapshot:
         target: (6,) last joint targets [rad].
         target_before: (6,) joint targets before the last ones [rad].
         gripper_target: Last gripper command, 0 open to 1 closed.
-        stopped: Whether the protective stop acted in the last control period.
+        stopped_against: (6,) external torques at which the protective stop acted [N m]; None where it holds nothing.
     """
 
     origin: Origin
@@ -74,7 +74,7 @@ class SimulationSnapshot:
     target: Floats
     target_before: Floats
     gripper_target: float
-    stopped: bool
+    stopped_against: Floats | None
 
     def __reduce__(self) -> str:
         """Refuse copying and pickling: MuJoCo's own pickling loses which bodies sleep."""
