@@ -94,7 +94,7 @@ class Simulation:
         # (0.2 s), feeding the links' inertia forward what is left (15 mrad at 10 rad/s^2), as a real controller does.
         self._stiffness = model.actuator_gainprm[:6, 0]
         self._lag = -model.actuator_biasprm[:6, 2] / self._stiffness
-        self._stop = ProtectiveStop(self.data, int(self._arm_dof[0]), self._tcp, self.config.robot.protective_stop)
+        self._stop = ProtectiveStop(model, self.data, self._arm_dof[0], self._tcp, self.config.robot.protective_stop)
         self._origin = Origin.of(model, self.config, self.part.model.name, self.capacity)
 
     # --- state -----------------------------------------------------------------------------------------------------
@@ -237,16 +237,14 @@ class Simulation:
     def step(self, joint_targets: Floats, gripper: float) -> None:
         """Advance by one control period.
 
-        The arm brakes and stays where it is as long as a `ProtectiveStop` says so.
-
         Args:
             joint_targets: (6,) arm joint positions to be reached at the period's end [rad]; the change from the last
-                target is held to the arm's velocity.
+                target is held to the arm's velocity. They are not obeyed while the protective stop holds the arm.
             gripper: 0 open to 1 closed; held to the jaw's speed, and to its largest opening.
         """
         reach = self.config.robot.max_velocity * CONTROL_PERIOD
         goal = self.target + np.clip(joint_targets - self.target, -reach, reach)
-        if self._stop.begin(self.model, goal - self.target):
+        if self._stop.begin(goal - self.target):
             goal = self.target
         velocity_before = (self.target - self._target_before) / CONTROL_PERIOD
         velocity_after = (goal - self.target) / CONTROL_PERIOD
@@ -255,10 +253,11 @@ class Simulation:
         self.model.opt.noslip_iterations = self._noslip if self.gripped() else 0
         let_go = self.touched_by_robot() if jaw_to < jaw_from else None
         targets = np.stack([self._target_before, self.target, goal])
+        velocities = velocity_before + self._spline_times[:, None] * (velocity_after - velocity_before)
+        controls = np.stack([blend @ targets for blend in self._spline_blends]) + self._lag * velocities + inertial
         held = None
-        for s, blend in zip(self._spline_times.tolist(), self._spline_blends, strict=True):
-            velocity = velocity_before + s * (velocity_after - velocity_before)
-            self.data.ctrl[:6] = blend @ targets + self._lag * velocity + inertial if held is None else held
+        for s, control in zip(self._spline_times.tolist(), controls, strict=True):
+            self.data.ctrl[:6] = control if held is None else held
             self.data.ctrl[self._gripper_actuator] = 255.0 * (jaw_from + s * (jaw_to - jaw_from))
             mujoco.mj_step(self.model, self.data)
             if held is None and self._stop.trips():
