@@ -83,7 +83,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     ## Info
     Flat scalars: `success` and `is_success` (every part was delivered), `delivered`, `remaining`, `total` (parts),
     `frame_id`, `last_event` (how a part left play in this step, a `Delivery`, or empty), `time` (simulated, [s]),
-    `protective_stop` (the arm pressed with over 150 N and holds still until an action leads away from what it touches).
+    `protective_stop` (the arm pressed with over 150 N, and is held for 1 s or until an action leads away from there).
     Wall clock is kept out of it, so that two copies stay equal: see the attributes `render_time` and `perception_time`.
     The attribute `observed` has the segments and poses behind the candidates, `labelled_capture` the frame and its
     ground truth.

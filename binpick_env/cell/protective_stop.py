@@ -1,23 +1,43 @@
 """The arm's protective stop: where the force at the tool exceeds a limit, the arm brakes, as a real one does."""
 
+from dataclasses import dataclass, replace
+
 import mujoco
 import numpy as np
 
+from binpick_env.config import CONTROL_PERIOD
 from perception.geometry import Floats
+
+HOLD = 1.0  # longest time that a stop lasts [s]: whoever presses on in vain may try again, once a second
 
 _LEVER = 0.05  # a force over the limit is looked for once a joint has its torque over this lever [m]
 _DAMPING = 1e-4  # of the least squares near singular postures [m^2]
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Stop:
+    """A stop of the arm.
+
+    Attributes:
+        against: (6,) external torques of the joints at which the arm stopped [N m].
+        periods: Number of control periods that it lasts yet.
+    """
+
+    against: Floats
+    periods: int
+
+
 class ProtectiveStop:
-    """Stops the arm where it presses harder than a limit, until a command leads away from what it pressed on.
+    """Stops the arm where it presses harder than a limit.
+
+    A stop ends when a command leads away from what the arm pressed on, or after `HOLD`.
 
     The force at the tool follows from the external torques of the joints, as on a UR5e: those of contacts, and of
     joints at their ends. Forces of the grip cancel out. A contact of another link counts as the force at the tool that
     has the same torques.
 
     Attributes:
-        against: (6,) external torques of the joints at which the arm stopped [N m]; None while it is not stopped.
+        active: The stop that holds the arm; None while nothing does.
     """
 
     def __init__(
@@ -39,7 +59,7 @@ class ProtectiveStop:
         self._torques = memoryview(self._torque)  # ten times faster to look at than the array
         self._least = _LEVER * self._limit
         self._jacobian = np.zeros((6, model.nv))
-        self.against: Floats | None = None
+        self.active: Stop | None = None
 
     def begin(self, change: Floats) -> bool:
         """Begin a control period, and return whether the arm stays stopped throughout.
@@ -49,19 +69,20 @@ class ProtectiveStop:
                 would do work along it.
         """
         self._change = change
-        if self.against is not None and change @ self.against > 0:
-            self.against = None
-        return self.against is not None
+        if self.active is not None:
+            over = self.active.periods == 0 or change @ self.active.against > 0
+            self.active = None if over else replace(self.active, periods=self.active.periods - 1)
+        return self.active is not None
 
     def trips(self) -> bool:
-        """Tell whether the arm pressed too hard in the last physics step, and remember against what."""
+        """Tell whether the arm pressed too hard in the last physics step; a stop begins then."""
         a, b, c, d, e, f = self._torques
         m = self._least
         if -m < a < m and -m < b < m and -m < c < m and -m < d < m and -m < e < m and -m < f < m:
             return False
         presses = self._change @ self._torque <= 0 and np.linalg.norm(self._force()) > self._limit
         if presses:
-            self.against = self._torque.copy()
+            self.active = Stop(against=self._torque.copy(), periods=round(HOLD / CONTROL_PERIOD))
         return bool(presses)
 
     def _force(self) -> Floats:

@@ -107,7 +107,7 @@ class Simulation:
         self.in_play: NDArray[np.bool_] = np.zeros(self.capacity, dtype=bool)
         self.target = HOME.copy()
         self._target_before = HOME.copy()
-        self._stop.against = None
+        self._stop.active = None
         self.gripper_target = self.gripper_open
         if self.gripper_open > 0:
             self.put_jaw(self._open_posture, self.gripper_open)
@@ -126,7 +126,7 @@ class Simulation:
             target=self.target.copy(),
             target_before=self._target_before.copy(),
             gripper_target=self.gripper_target,
-            stopped_against=self._stop.against,
+            stop=self._stop.active,
         )
 
     def restore(self, snapshot: SimulationSnapshot) -> None:
@@ -140,7 +140,7 @@ class Simulation:
         self.in_play = snapshot.in_play.copy()
         self.model.body_gravcomp[self._part_body] = np.where(self.in_play, 0.0, 1.0)
         self.target, self._target_before = snapshot.target.copy(), snapshot.target_before.copy()
-        self.gripper_target, self._stop.against = snapshot.gripper_target, snapshot.stopped_against
+        self.gripper_target, self._stop.active = snapshot.gripper_target, snapshot.stop
 
     def refresh(self) -> None:
         """Bring the bodies' poses up to date with the joints; after a step they are one time step behind."""
@@ -159,7 +159,7 @@ class Simulation:
     @property
     def stopped(self) -> bool:
         """Whether the protective stop holds the arm."""
-        return self._stop.against is not None
+        return self._stop.active is not None
 
     @property
     def joint_positions(self) -> Floats:
@@ -287,7 +287,7 @@ class Simulation:
         self.data.qvel[self._arm_dof] = (target - target_before) / CONTROL_PERIOD
         self.data.qacc_warmstart[self._arm_dof] = 0.0
         self._target_before, self.target = np.array(target_before), np.array(target)
-        self._stop.against = None
+        self._stop.active = None
 
     def put_jaw(self, posture: Floats, gripper: float) -> None:
         """Put the jaw's linkage at rest.

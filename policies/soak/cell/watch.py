@@ -28,9 +28,9 @@ class Limits:
 class CellWatch:
     """Judges the steps of one simulation and remembers what it saw.
 
-    Contacts are soft. A part that falls sinks in for a moment, which the limit of depth allows for; and the arm at
-    full speed presses a part some millimetres into a wall, where a real arm would stop. Such a part must come back, and
-    must not pass the middle of the wall.
+    Contacts are soft. A part that falls sinks in for a moment, which the limit of depth allows for. So does a part that
+    the arm hits at full speed, as far as 9 mm where it is light, until the protective stop has ended the push: it must
+    come back within `REST` steps, and must not pass the middle of the wall.
 
     Attributes:
         steps: Number of steps.
@@ -50,6 +50,7 @@ class CellWatch:
         self._speeds = np.zeros(simulation.capacity)  # before the step [m/s]
         self._softness = 0.35 * simulation.config.contact.solref[0]
         self._since = np.full(simulation.capacity, REST)  # steps since the robot drove each part
+        self._deep_for = np.zeros(simulation.capacity, np.int64)  # steps for which each part was pushed in too deep
         self._broken: set[str] = set()
         self._episode = "before the first reset"
         self.steps = 0
@@ -86,6 +87,7 @@ class CellWatch:
         self._episode = episode
         self._broken.clear()
         self._since[:] = REST
+        self._deep_for[:] = 0
         self._speeds[:] = 0.0
         self._judge_depth("at rest")
 
@@ -126,11 +128,16 @@ class CellWatch:
         self.deepest, self.pressed = max(self.deepest, float(alone.max())), max(self.pressed, float(depths.max()))
         # A part that falls sinks in by about 0.35 of its speed times the contact's time constant, and comes back.
         speeds = np.maximum(self._speeds, self._simulation.part_speeds())
-        k = int(np.argmax(alone - self._softness * speeds))
-        limit = self._limits.depth + self._softness * speeds[k]
-        if alone[k] > limit:
+        limits = self._limits.depth + self._softness * speeds
+        k = int(np.argmax(alone - limits))
+        if alone[k] > limits[k]:
             text = f"{1000 * alone[k]:.1f} mm inside {self._gauge.names[boxes[k]]}, {when} at {speeds[k]:.2f} m/s"
             self._report("depth", f"a part that the robot leaves alone is {text}")
+        self._deep_for = np.where((self._since < REST) & (depths > limits), self._deep_for + 1, 0)
+        p = int(np.argmax(self._deep_for))
+        if self._deep_for[p] >= REST:
+            text = f"{1000 * depths[p]:.1f} mm inside {self._gauge.names[boxes[p]]} for {REST} steps"
+            self._report("pressed", f"a part that the robot pushes is {text}")
         i = int(np.argmax(depths / self._gauge.middles[boxes]))
         if depths[i] >= 0.99 * self._gauge.middles[boxes[i]]:
             self._report("middle", f"a part is pushed to the middle of {self._gauge.names[boxes[i]]}")

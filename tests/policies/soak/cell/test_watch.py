@@ -141,6 +141,27 @@ def test_a_part_that_the_robot_pushes_may_be_deep_but_not_in_the_middle_of_a_wal
     assert "a part is pushed to the middle of bin/floor" in problem
 
 
+def test_a_push_that_lasts_is_a_problem(simulation: Simulation) -> None:
+    watch = CellWatch(simulation)
+    watch.begin("a push")
+    put(simulation, 0, -0.004)
+    for _ in range(2):  # the first one ends in time
+        put(simulation, 0, -0.001)
+        watch._judge_depth("moving")
+        put(simulation, 0, -0.004)
+        watch._since[:] = 0
+        for _ in range(REST - 1):
+            watch._judge_depth("moving")
+        assert watch.problems == []
+    watch._judge_depth("moving")
+    (problem,) = watch.problems
+    assert f"a part that the robot pushes is 4.0 mm inside bin/floor for {REST} steps" in problem
+    watch.begin("another")
+    watch._since[:] = 0
+    watch._judge_depth("moving")
+    assert len(watch.problems) == 2  # the pile at its start, and no push as yet
+
+
 def test_an_observation_outside_of_its_space_or_without_a_number_is_a_problem(simulation: Simulation) -> None:
     watch = CellWatch(simulation)
     space = spaces.Dict({"q": spaces.Box(-1, 1, (2,), np.float32)})
