@@ -10,10 +10,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from binpick_env.cell.simulation import Simulation
+from binpick_env.config import CONTROL_PERIOD
 from perception.geometry import Floats
 from policies.soak.cell.depth import DepthGauge
 from policies.soak.cell.energy import DrivenParts, EnergyMeter, set_control_callback
 
+_FALL = 9.81 * CONTROL_PERIOD  # speed that a fall adds within a step [m/s]
 REST = 5  # steps after the robot's last push from which a part counts as left alone; a contact gives way that long
 
 
@@ -128,6 +130,7 @@ class CellWatch:
         self.deepest, self.pressed = max(self.deepest, float(alone.max())), max(self.pressed, float(depths.max()))
         # A part that falls sinks in by about 0.35 of its speed times the contact's time constant, and comes back.
         speeds = np.maximum(self._speeds, self._simulation.part_speeds())
+        speeds = speeds + np.minimum(speeds, _FALL)  # what it gains before it lands within the step
         limits = self._limits.depth + self._softness * speeds
         k = int(np.argmax(alone - limits))
         if alone[k] > limits[k]:

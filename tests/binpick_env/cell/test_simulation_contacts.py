@@ -41,9 +41,9 @@ def test_a_part_that_falls_on_the_arm_is_touched_but_not_gripped(simulation: Sim
 
 
 def test_leaning_on_the_table_is_felt(simulation: Simulation) -> None:
-    for lean in np.arange(0.0, 0.6, 0.01):  # slowly: a protective stop would end a hard hit, off the tray
+    for lean in [*np.arange(0.0, 0.45, 0.03), *np.arange(0.45, 0.6, 0.002)]:  # a harder hit ends in a protective stop
         simulation.step(HOME + np.array([0, lean, 0, 0, 0, 0]), 1.0)
-        if simulation.robot_contact().force > 50.0:
+        if simulation.robot_contact().force > 60.0:
             break
     push = simulation.robot_contact()
     assert push.with_cell

@@ -114,6 +114,17 @@ def test_a_part_that_sinks_in_while_it_lands_is_none(simulation: Simulation) -> 
     assert "step" not in vars(simulation)  # nobody watches any more
 
 
+def test_a_part_that_lands_within_a_step_was_faster_than_before_it(simulation: Simulation) -> None:
+    watch = CellWatch(simulation)
+    put(simulation, 0, -0.004)
+    watch._speeds[0] = 0.3  # 0.6 m/s at most when it lands, which may be 4.1 mm deep
+    watch._judge_depth("moving")
+    assert watch.problems == []
+    watch._speeds[0] = 0.2
+    watch._judge_depth("moving")
+    assert "4.0 mm inside bin/floor, moving at 0.40 m/s" in watch.problems[0]
+
+
 def test_a_part_that_gains_energy_by_itself_is_a_problem(simulation: Simulation) -> None:
     watch = CellWatch(simulation, Limits(gain=0.001))
     put(simulation, 0, 0.1)
