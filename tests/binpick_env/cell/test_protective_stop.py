@@ -54,7 +54,7 @@ def test_an_arm_that_presses_too_hard_stops_and_stays(simulation: Simulation, un
 
 
 def test_a_stopped_arm_obeys_a_command_that_leads_away_and_no_other(simulation: Simulation) -> None:
-    press(simulation)
+    press(simulation, 8)
     at = simulation.target.copy()
     sideways_and_down = at + np.array([0.3, 0.05, 0.0, 0.0, 0.0, 0.0])
     simulation.step(sideways_and_down, 1.0)
@@ -68,7 +68,7 @@ def test_a_stopped_arm_obeys_a_command_that_leads_away_and_no_other(simulation: 
 
 
 def test_a_stop_that_is_pressed_on_ends_after_a_second_for_another_try(simulation: Simulation) -> None:
-    targets = []
+    targets: list[Floats] = []
     while len(targets) < 60:
         simulation.step(DOWN, 1.0)
         targets.append(simulation.target.copy())
@@ -84,7 +84,7 @@ def test_the_force_is_that_of_the_contacts_on_the_tool(unlimited: Simulation) ->
     press(unlimited)
     force = force_of_contacts(unlimited)
     assert np.linalg.norm(force) > 100
-    np.testing.assert_allclose(unlimited._stop._force(), force, atol=0.05 * np.linalg.norm(force))
+    np.testing.assert_allclose(unlimited._stop._force(), force, atol=0.05 * float(np.linalg.norm(force)))
 
 
 def test_a_grip_is_no_force_on_the_tool(simulation: Simulation) -> None:
