@@ -16,6 +16,7 @@ from policies.soak.cell.depth import DepthGauge
 from policies.soak.cell.energy import DrivenParts, EnergyMeter, set_control_callback
 
 _FALL = 9.81 * CONTROL_PERIOD  # speed that a fall adds within a step [m/s]
+_HEAVY = 0.05  # mass under which a part is pushed in deeper, in inverse proportion: contacts yield so [kg]
 REST = 5  # steps after the robot's last push from which a part counts as left alone; a contact gives way that long
 
 
@@ -32,7 +33,7 @@ class CellWatch:
 
     Contacts are soft. A part that falls sinks in for a moment, which the limit of depth allows for. So does a part that
     the arm hits at full speed, as far as 9 mm where it is light, until the protective stop has ended the push: it must
-    come back within `REST` steps, and must not pass the middle of the wall.
+    come back within `REST` steps (to more than the limit if it weighs under 50 g), and must not pass the middle of the wall.
 
     Attributes:
         steps: Number of steps.
@@ -53,6 +54,7 @@ class CellWatch:
         self._softness = 0.35 * simulation.config.contact.solref[0]
         self._since = np.full(simulation.capacity, REST)  # steps since the robot drove each part
         self._deep_for = np.zeros(simulation.capacity, np.int64)  # steps for which each part was pushed in too deep
+        self._lightness = max(1.0, _HEAVY / simulation.part.mass)
         self._broken: set[str] = set()
         self._episode = "before the first reset"
         self.steps = 0
@@ -136,7 +138,8 @@ class CellWatch:
         if alone[k] > limits[k]:
             text = f"{1000 * alone[k]:.1f} mm inside {self._gauge.names[boxes[k]]}, {when} at {speeds[k]:.2f} m/s"
             self._report("depth", f"a part that the robot leaves alone is {text}")
-        self._deep_for = np.where((self._since < REST) & (depths > limits), self._deep_for + 1, 0)
+        too_deep = depths - limits > self._limits.depth * (self._lightness - 1)
+        self._deep_for = np.where((self._since < REST) & too_deep, self._deep_for + 1, 0)
         p = int(np.argmax(self._deep_for))
         if self._deep_for[p] >= REST:
             text = f"{1000 * depths[p]:.1f} mm inside {self._gauge.names[boxes[p]]} for {REST} steps"

@@ -173,6 +173,16 @@ def test_a_push_that_lasts_is_a_problem(simulation: Simulation) -> None:
     assert len(watch.problems) == 2  # the pile at its start, and no push as yet
 
 
+def test_a_light_part_may_be_pushed_deeper(simulation: Simulation) -> None:
+    watch = CellWatch(simulation)
+    watch._lightness = 2.5  # a part of 20 g
+    put(simulation, 0, -0.004)
+    for _ in range(REST):
+        watch._since[:] = 0
+        watch._judge_depth("moving")
+    assert watch.problems == []
+
+
 def test_an_observation_outside_of_its_space_or_without_a_number_is_a_problem(simulation: Simulation) -> None:
     watch = CellWatch(simulation)
     space = spaces.Dict({"q": spaces.Box(-1, 1, (2,), np.float32)})
