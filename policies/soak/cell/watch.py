@@ -32,8 +32,8 @@ class CellWatch:
     """Judges the steps of one simulation and remembers what it saw.
 
     Contacts are soft. A part that falls sinks in for a moment, which the limit of depth allows for. So does a part that
-    the arm hits at full speed, as far as 9 mm where it is light, until the protective stop has ended the push: it must
-    come back within `REST` steps (to more than the limit if it weighs under 50 g), and must not pass the middle of the wall.
+    the arm hits at full speed, as far as 9 mm where it is light, until the protective stop has ended the push. It must
+    come back within `REST` steps, to a deeper limit if it weighs under 50 g, and must not pass the middle of the wall.
 
     Attributes:
         steps: Number of steps.
