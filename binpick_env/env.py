@@ -34,7 +34,6 @@ from binpick_env.parts.part import Part, resolve_part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
 from perception.bin import Trust
-from perception.frame import Workspace
 from perception.geometry import Floats
 from perception.runtime.threads import use_threads
 from perception.segmentation.choices import NetworkName
@@ -83,7 +82,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
 
     ## Info
     Flat scalars: `success` and `is_success` (every part was delivered), `delivered`, `remaining`, `total` (parts),
-    `frame_id`, `last_event` (how a part left play in this step, a `Delivery`, or empty), `time` (simulated, [s]).
+    `frame_id`, `last_event` (how a part left play in this step, a `Delivery`, or empty), `time` (simulated, [s]),
+    `protective_stop` (the arm pressed with over 150 N, and is held for 1 s or until an action leads away from there).
     Wall clock is kept out of it, so that two copies stay equal: see the attributes `render_time` and `perception_time`.
     The attribute `observed` has the segments and poses behind the candidates, `labelled_capture` the frame and its
     ground truth.
@@ -194,12 +194,11 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         threads = thread_count(threads)
         self._num_parts = count_range(num_parts)
         self._sensor = sensor_model(sensor)
-        # The cell, what perceives it, and what shows it.
         self.config = resolve_cell(config, camera, **cell)
         self.part = resolve_part(part, unit, symmetry, density, symmetry_tolerance)
         check_part(self.part, self.config)
         require_room(self.part, self.config.bin, self._num_parts[1])
-        self.workspace: Workspace = self.config.bin.workspace()
+        self.workspace = self.config.bin.workspace()
         noise = resolve_noise(pose_noise, self.part, sensor, self.config.camera)
         with use_threads(threads):
             self._perceiver = make_perceiver(perception, self.part.model, self.workspace, noise, threads, network)
@@ -393,6 +392,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             "remaining": self.remaining,
             "total": self.total,
             "time": self.simulation.time,
+            "protective_stop": self.simulation.stopped,
             "last_event": str(events[-1].kind) if events else "",
             "success": self.delivered == self.total,
             "is_success": self.delivered == self.total,

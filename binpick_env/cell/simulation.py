@@ -1,13 +1,13 @@
 """The physics of the cell: model and state, motion of the arm, parts in play, contacts."""
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.cell.jaw import open_command
+from binpick_env.cell.protective_stop import ProtectiveStop
 from binpick_env.cell.robot import ARM_JOINTS, FINGER_PADS, GRIPPER, GRIPPER_ACTUATOR, HOME, TCP_SITE
+from binpick_env.cell.robot_contact import RobotContact
 from binpick_env.cell.scene import BIN_BODY, PART, TABLE_GEOM, TRAY_BODY, cell_spec, parking_poses
 from binpick_env.cell.simulation_state import Origin, SimulationSnapshot
 from binpick_env.config import CONTROL_PERIOD, CellConfig
@@ -16,21 +16,6 @@ from perception.geometry import Floats, make_transform, matrix_from_quat, quat_f
 
 ARENA = 512 << 20  # memory of a state for contacts and constraints [bytes]
 _JAW_REST = 1.0  # time after which the jaw's linkage is at rest under a new command [s]
-
-
-@dataclass(frozen=True, kw_only=True)
-class RobotContact:
-    """Contact of the robot with its surroundings.
-
-    Attributes:
-        force: Sum of the magnitudes of the contact forces [N].
-        with_cell: Whether the robot touches the bin, the tray or the table.
-        parts: Indices of the parts that the robot touches.
-    """
-
-    force: float
-    with_cell: bool
-    parts: frozenset[int]
 
 
 class Simulation:
@@ -109,6 +94,7 @@ class Simulation:
         # (0.2 s), feeding the links' inertia forward what is left (15 mrad at 10 rad/s^2), as a real controller does.
         self._stiffness = model.actuator_gainprm[:6, 0]
         self._lag = -model.actuator_biasprm[:6, 2] / self._stiffness
+        self._stop = ProtectiveStop(model, self.data, self._arm_dof[0], self._tcp, self.config.robot.protective_stop)
         self._origin = Origin.of(model, self.config, self.part.model.name, self.capacity)
 
     # --- state -----------------------------------------------------------------------------------------------------
@@ -121,6 +107,7 @@ class Simulation:
         self.in_play: NDArray[np.bool_] = np.zeros(self.capacity, dtype=bool)
         self.target = HOME.copy()
         self._target_before = HOME.copy()
+        self._stop.active = None
         self.gripper_target = self.gripper_open
         if self.gripper_open > 0:
             self.put_jaw(self._open_posture, self.gripper_open)
@@ -139,6 +126,7 @@ class Simulation:
             target=self.target.copy(),
             target_before=self._target_before.copy(),
             gripper_target=self.gripper_target,
+            stop=self._stop.active,
         )
 
     def restore(self, snapshot: SimulationSnapshot) -> None:
@@ -152,7 +140,7 @@ class Simulation:
         self.in_play = snapshot.in_play.copy()
         self.model.body_gravcomp[self._part_body] = np.where(self.in_play, 0.0, 1.0)
         self.target, self._target_before = snapshot.target.copy(), snapshot.target_before.copy()
-        self.gripper_target = snapshot.gripper_target
+        self.gripper_target, self._stop.active = snapshot.gripper_target, snapshot.stop
 
     def refresh(self) -> None:
         """Bring the bodies' poses up to date with the joints; after a step they are one time step behind."""
@@ -167,6 +155,11 @@ class Simulation:
     def time(self) -> float:
         """Simulated time [s]."""
         return float(self.data.time)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the protective stop holds the arm."""
+        return self._stop.active is not None
 
     @property
     def joint_positions(self) -> Floats:
@@ -246,25 +239,31 @@ class Simulation:
 
         Args:
             joint_targets: (6,) arm joint positions to be reached at the period's end [rad]; the change from the last
-                target is held to the arm's velocity.
+                target is held to the arm's velocity. They are not obeyed while the protective stop holds the arm.
             gripper: 0 open to 1 closed; held to the jaw's speed, and to its largest opening.
         """
         reach = self.config.robot.max_velocity * CONTROL_PERIOD
         goal = self.target + np.clip(joint_targets - self.target, -reach, reach)
+        if self._stop.begin(goal - self.target):
+            goal = self.target
         velocity_before = (self.target - self._target_before) / CONTROL_PERIOD
         velocity_after = (goal - self.target) / CONTROL_PERIOD
-        acceleration = (velocity_after - velocity_before) / CONTROL_PERIOD
-        inertial = self._inertial_torque(acceleration) / self._stiffness
+        inertial = self._inertial_torque((velocity_after - velocity_before) / CONTROL_PERIOD) / self._stiffness
         jaw_from, jaw_to = self._jaw_ramp(gripper)
         self.model.opt.noslip_iterations = self._noslip if self.gripped() else 0
         let_go = self.touched_by_robot() if jaw_to < jaw_from else None
         targets = np.stack([self._target_before, self.target, goal])
-        for s, blend in zip(self._spline_times.tolist(), self._spline_blends, strict=True):
-            velocity = velocity_before + s * (velocity_after - velocity_before)
-            self.data.ctrl[:6] = blend @ targets + self._lag * velocity + inertial
+        velocities = velocity_before + self._spline_times[:, None] * (velocity_after - velocity_before)
+        controls = np.stack([blend @ targets for blend in self._spline_blends]) + self._lag * velocities + inertial
+        held = None
+        for s, control in zip(self._spline_times.tolist(), controls, strict=True):
+            self.data.ctrl[:6] = control if held is None else held
             self.data.ctrl[self._gripper_actuator] = 255.0 * (jaw_from + s * (jaw_to - jaw_from))
             mujoco.mj_step(self.model, self.data)
-        self._target_before, self.target, self.gripper_target = self.target, goal, jaw_to
+            if held is None and self._stop.trips():
+                held = self.joint_positions
+        self._target_before, self.target = (self.target, goal) if held is None else (held, held)
+        self.gripper_target = jaw_to
         if let_go is not None:
             self._wake(let_go)
         self._check_finite()
@@ -288,6 +287,7 @@ class Simulation:
         self.data.qvel[self._arm_dof] = (target - target_before) / CONTROL_PERIOD
         self.data.qacc_warmstart[self._arm_dof] = 0.0
         self._target_before, self.target = np.array(target_before), np.array(target)
+        self._stop.active = None
 
     def put_jaw(self, posture: Floats, gripper: float) -> None:
         """Put the jaw's linkage at rest.

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from binpick_env.cell.protective_stop import Stop
 from binpick_env.config import CellConfig
 from perception.geometry import Floats
 
@@ -65,6 +66,7 @@ class SimulationSnapshot:
         target: (6,) last joint targets [rad].
         target_before: (6,) joint targets before the last ones [rad].
         gripper_target: Last gripper command, 0 open to 1 closed.
+        stop: Protective stop that holds the arm; None where nothing does.
     """
 
     origin: Origin
@@ -73,6 +75,7 @@ class SimulationSnapshot:
     target: Floats
     target_before: Floats
     gripper_target: float
+    stop: Stop | None
 
     def __reduce__(self) -> str:
         """Refuse copying and pickling: MuJoCo's own pickling loses which bodies sleep."""

@@ -9,6 +9,7 @@ import trimesh
 
 from binpick_env import env as env_module
 from binpick_env.cell.delivery import Delivery
+from binpick_env.cell.robot import HOME
 from binpick_env.env import BinPickEnv
 from tests.binpick_env.small_cell import REST, above_tray, act, assert_same, centred, small_env
 
@@ -61,6 +62,17 @@ def test_an_episode_ends_when_nothing_is_left(env: BinPickEnv, place: str, succe
     assert terminated
     assert not truncated
     assert info["remaining"] == env.remaining == 0
+
+
+def test_info_says_when_the_protective_stop_holds_the_arm(env: BinPickEnv) -> None:
+    down = np.append(HOME + np.array([0.0, 0.8, 0.0, 0.0, 0.0, 0.0]), 1.0).astype(np.float32)  # under the tray's floor
+    stopped = [info["protective_stop"] for *_, info in act(env, 0.6, down)]
+    assert stopped == sorted(stopped)
+    assert (stopped[0], stopped[-1]) == (False, True)
+    *_, info = env.step(REST)
+    assert info["protective_stop"] is False
+    env.step(down)
+    assert env.reset(seed=0)[1]["protective_stop"] is False
 
 
 def test_a_new_episode_forgets_the_last(env: BinPickEnv) -> None:

@@ -56,6 +56,7 @@ def facts(env: BinPickEnv) -> dict[str, Any]:
             if id(value) not in whole:
                 held[f"{owner}.{name}"] = value.copy() if isinstance(value, np.ndarray | set | list) else value
     held |= {f"episode.{name}": value for name, value in vars(env.episode).items()}
+    held["stop"] = env.simulation._stop.active
     held["gravcomp"] = env.simulation.model.body_gravcomp.copy()
     held["asleep"] = env.simulation.asleep()
     held["random"] = env.np_random.bit_generator.state
@@ -97,11 +98,13 @@ def test_nothing_is_left_of_what_came_between(env: BinPickEnv) -> None:
     deliver(env)
     assert [event.kind for event in env.events] == [Delivery.DELIVERED]
     before, snapshot = facts(env), env.snapshot()
-    act(env, 0.8, np.append(HOME + 0.4, 0.9).astype(np.float32))
+    act(env, 0.8, np.append(HOME - [0.4, 0, 0, 0, 0, 0], 0.9).astype(np.float32))
     env.simulation.place(1, above_tray(env.simulation))
     act(env, 1.5, np.append(HOME, 0.0).astype(np.float32))
+    act(env, 0.4, np.append(HOME + 0.4, 0.9).astype(np.float32))  # onto the bin's wall
     changed = differing(before, facts(env))
     assert {"episode.steps", "episode.events", "episode.frame", "simulation.in_play", "gravcomp", "random"} <= changed
+    assert "stop" in changed
     env.restore(snapshot)
     assert differing(before, facts(env)) <= {"judge._tray", "judge._bin"}  # copies of boxes that nobody changes
     env.events.clear()  # a copy
@@ -133,7 +136,7 @@ def test_the_judge_goes_on_where_it_was(env: BinPickEnv) -> None:
 
 def test_the_arms_way_home_is_remembered(env: BinPickEnv) -> None:
     """A frame is taken on return although the arm had left before the snapshot."""
-    act(env, 0.8, np.append(HOME + 0.5, 0.0).astype(np.float32))
+    act(env, 0.8, np.append(HOME - [0.5, 0, 0, 0, 0, 0], 0.0).astype(np.float32))
     snapshot, frame_id = env.snapshot(), env.frame_id
     act(env, 0.8)
     assert env.frame_id == frame_id + 1

@@ -117,6 +117,7 @@ SETTINGS = {
     "robot.max_velocity": (RobotConfig(max_velocity=1.5), speed_of_a_joint, 1.5),
     "robot.gripper_time": (RobotConfig(gripper_time=1.0), time_of_the_jaw, 1.0),
     "robot.jaw": (RobotConfig(jaw=0.04), opening_of_the_jaw, 0.04),
+    "robot.protective_stop": (RobotConfig(protective_stop=40.0), lambda s: s._stop._limit, 40.0),
     "contact.condim": (ContactConfig(condim=4), contact_of("geom_condim"), (4,)),
     "contact.friction": (ContactConfig(friction=(0.3, 0.01, 0.001)), contact_of("geom_friction"), (0.3, 0.01, 0.001)),
     "contact.solref": (ContactConfig(solref=(0.02, 0.9)), contact_of("geom_solref"), (0.02, 0.9)),

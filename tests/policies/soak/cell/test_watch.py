@@ -114,6 +114,17 @@ def test_a_part_that_sinks_in_while_it_lands_is_none(simulation: Simulation) -> 
     assert "step" not in vars(simulation)  # nobody watches any more
 
 
+def test_a_part_that_lands_within_a_step_was_faster_than_before_it(simulation: Simulation) -> None:
+    watch = CellWatch(simulation)
+    put(simulation, 0, -0.004)
+    watch._speeds[0] = 0.3  # 0.6 m/s at most when it lands, which may be 4.1 mm deep
+    watch._judge_depth("moving")
+    assert watch.problems == []
+    watch._speeds[0] = 0.2
+    watch._judge_depth("moving")
+    assert "4.0 mm inside bin/floor, moving at 0.40 m/s" in watch.problems[0]
+
+
 def test_a_part_that_gains_energy_by_itself_is_a_problem(simulation: Simulation) -> None:
     watch = CellWatch(simulation, Limits(gain=0.001))
     put(simulation, 0, 0.1)
@@ -139,6 +150,37 @@ def test_a_part_that_the_robot_pushes_may_be_deep_but_not_in_the_middle_of_a_wal
     watch._judge_depth("moving")
     (problem,) = watch.problems
     assert "a part is pushed to the middle of bin/floor" in problem
+
+
+def test_a_push_that_lasts_is_a_problem(simulation: Simulation) -> None:
+    watch = CellWatch(simulation)
+    watch.begin("a push")
+    put(simulation, 0, -0.004)
+    for _ in range(2):  # the first one ends in time
+        put(simulation, 0, -0.001)
+        watch._judge_depth("moving")
+        put(simulation, 0, -0.004)
+        watch._since[:] = 0
+        for _ in range(REST - 1):
+            watch._judge_depth("moving")
+        assert watch.problems == []
+    watch._judge_depth("moving")
+    (problem,) = watch.problems
+    assert f"a part that the robot pushes is 4.0 mm inside bin/floor for {REST} steps" in problem
+    watch.begin("another")
+    watch._since[:] = 0
+    watch._judge_depth("moving")
+    assert len(watch.problems) == 2  # the pile at its start, and no push as yet
+
+
+def test_a_light_part_may_be_pushed_deeper(simulation: Simulation) -> None:
+    watch = CellWatch(simulation)
+    watch._lightness = 2.5  # a part of 20 g
+    put(simulation, 0, -0.004)
+    for _ in range(REST):
+        watch._since[:] = 0
+        watch._judge_depth("moving")
+    assert watch.problems == []
 
 
 def test_an_observation_outside_of_its_space_or_without_a_number_is_a_problem(simulation: Simulation) -> None:
