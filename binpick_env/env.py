@@ -34,7 +34,7 @@ from binpick_env.parts.part import Part, resolve_part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
 from perception.bin import Trust
-from perception.frame import Workspace
+from perception.frame import Frame, Workspace
 from perception.geometry import Floats
 from perception.runtime.threads import use_threads
 from perception.segmentation.choices import NetworkName
@@ -305,6 +305,12 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         frame = self._take_frame(self.episode.reported, self.episode.frame.number + 1, likely=likely)
         self._episode = replace(self.episode, frame=frame)
         return self._observation()
+
+    def image(self) -> Frame:
+        """Take an image of the bin now that nothing perceives: the last frame, its candidates and its number stay."""
+        self.simulation.refresh()
+        self.camera.displace(*self.episode.reported)
+        return self.camera.capture(self.simulation.data, self.np_random, self._sensor, self.light).frame
 
     def snapshot(self) -> Snapshot:
         """Return the state of the cell for :meth:`restore`, with its last frame and its random numbers.

@@ -49,7 +49,7 @@ def test_the_digests_of_earlier_versions_are_kept() -> None:
 
     The last change was meant: since parts are pushed and put back, bins end otherwise.
     """
-    assert EvaluationConfig().digest() == "caf91abcef67b73d"
+    assert EvaluationConfig().digest() == "1861bbfc80c848fb"
     assert EvaluationConfig(picker=PickerSettings().attempts_only()).digest() != EvaluationConfig().digest()
     config = EvaluationConfig(
         part="part_b",
