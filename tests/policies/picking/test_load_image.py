@@ -36,18 +36,25 @@ def frame_of(boxes: Sequence[Box], noise: float = 0.0) -> Frame:
     return Frame(depth=depth.astype(np.float32), K=K, T_world_cam=default_pose(WORKSPACE, DISTANCE))
 
 
-def gone(before: Sequence[Box], after: Sequence[Box], noise: float = 0.0, image: Frame | None = None) -> float:
-    """Return the area that is gone beside the part at ``TARGET`` [m^2]."""
+def gone(
+    before: Sequence[Box], after: Sequence[Box], noise: float = 0.0, image: Frame | None = None, shift: float = 0.0
+) -> float:
+    """Return the area that is gone beside the part at ``TARGET``, whose estimate is off by ``shift`` along x [m^2]."""
     frame = frame_of(before)
     heights = HeightMap.from_frame(frame, WORKSPACE, wall=WALL)
     scene = ObservedScene(frame=frame, candidates=(), workspace=WORKSPACE, heights=heights, parts=())
-    T_world_part = WORKSPACE.T_world_bin @ make_transform(translation=(*TARGET[:2], TARGET[2] - 0.005))
+    T_world_part = WORKSPACE.T_world_bin @ make_transform(translation=(TARGET[0] + shift, TARGET[1], TARGET[2] - 0.005))
     return gone_beside(scene, frame_of(after, noise) if image is None else image, SURFACE, T_world_part, WALL)
 
 
 def test_nothing_is_gone_beside_a_part_that_came_alone() -> None:
     assert gone([TARGET, NEIGHBOUR], [NEIGHBOUR]) == 0.0
     assert abs(gone([TARGET, NEIGHBOUR], [NEIGHBOUR], noise=0.0005)) < 1e-4
+
+
+def test_a_pose_that_is_off_by_some_millimetres_leaves_nothing_beside_it() -> None:
+    assert gone([TARGET, NEIGHBOUR], [NEIGHBOUR], shift=0.005) == 0.0
+    assert gone([TARGET, NEIGHBOUR], [NEIGHBOUR], shift=0.02) > 2e-4
 
 
 @pytest.mark.parametrize("neighbour", [NEIGHBOUR, (-0.02, 0.0, 0.01), (0.1, -0.07, 0.06)])
