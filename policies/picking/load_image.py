@@ -13,15 +13,17 @@ from policies.grasping.heightmap import HeightMap
 from policies.grasping.observed_scene import ObservedScene
 
 _STEP = 0.003  # change of height from which a cell shows another surface [m]: above the noise, below thin plates
-_MARGIN = 0.006  # width around the picked part's outline that counts as its own [m]: pose errors, and edges
+_FILLED = 0.002  # the same where the picked part was: something that is nearly as high lies there now [m]
+_ON_TOP = 0.004  # height over the picked part's surface from which a cell shows what lies on it [m]
+_MARGIN = 0.006  # width around the picked part's outline that is left out [m]: pose errors, and edges
 _CROSS = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
 
 
 def gone_beside(scene: ObservedScene, image: Frame, surface_part: Floats, T_world_part: Floats, wall: float) -> float:
-    """Return the area beside a picked part that is lower than before, less the area that is higher [m^2].
+    """Return the area beside or on a picked part that is lower than before, less the area that is higher [m^2].
 
     A neighbour that came along leaves its area lower. One that only slid lowers the surface in one place and raises it
-    in another. What came along from under the part's own outline does not show.
+    in another, which may be where the picked part was. What came along from under that part does not show.
 
     Args:
         scene: The bin before the attempt.
@@ -40,14 +42,15 @@ def gone_beside(scene: ObservedScene, image: Frame, surface_part: Floats, T_worl
     before = scene.heights
     unmoved = replace(image, T_world_cam=scene.frame.T_world_cam)
     after = HeightMap.from_frame(unmoved, scene.workspace, cell=before.cell, wall=wall).measured
-    cells = int(np.ceil(_MARGIN / before.cell))
-    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * cells + 1, 2 * cells + 1))
-    outline = np.isfinite(before.rasterise(surface_part, T_world_part)).astype(np.uint8)
-    seen = np.zeros(outline.shape, dtype=np.bool_)
-    seen[before.inner] = True
-    seen &= (cv2.dilate(outline, around) == 0) & np.isfinite(before.measured) & np.isfinite(after)
-    rise = np.where(seen, after, 0.0) - np.where(seen, before.measured, 0.0)
-    return before.cell**2 * (_area(rise < -_STEP) - _area(rise > _STEP))
+    surface = before.rasterise(surface_part, T_world_part)
+    outline = np.isfinite(surface)
+    seen = np.isfinite(before.measured) & np.isfinite(after)
+    rise = _difference(after, before.measured, seen)
+    above = _difference(before.measured, surface, seen & outline)
+    own = seen & outline & (np.abs(above) <= _ON_TOP)  # cells that showed the part itself
+    others = seen & (_beside(outline, before) | (outline & (above > _ON_TOP)))
+    higher = (others & (rise > _STEP)) | (own & (rise > -_FILLED))
+    return before.cell**2 * (_area(others & (rise < -_STEP)) - _area(higher))
 
 
 def mean_silhouette(part: PartModel) -> float:
@@ -56,6 +59,20 @@ def mean_silhouette(part: PartModel) -> float:
     It is a quarter of the hull's surface (Cauchy).
     """
     return float(part.mesh.convex_hull.area) / 4
+
+
+def _difference(first: Floats, second: Floats, known: NDArray[np.bool_]) -> Floats:
+    """Return first - second where both are known, 0 elsewhere."""
+    return np.where(known, first, 0.0) - np.where(known, second, 0.0)
+
+
+def _beside(outline: NDArray[np.bool_], heights: HeightMap) -> NDArray[np.bool_]:
+    """Return the (X, Y) mask of the cells within the bin's walls that lie farther from an outline than the margin."""
+    cells = int(np.ceil(_MARGIN / heights.cell))
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * cells + 1, 2 * cells + 1))
+    beside = np.zeros(outline.shape, dtype=np.bool_)
+    beside[heights.inner] = True
+    return beside & (cv2.dilate(outline.astype(np.uint8), around) == 0)
 
 
 def _area(cells: NDArray[np.bool_]) -> int:

@@ -68,6 +68,18 @@ def test_the_sum_is_zero_for_a_neighbour_that_only_moved() -> None:
     assert gone([TARGET, NEIGHBOUR], [(0.0, -0.05, 0.02)]) == pytest.approx(0.0, abs=2e-4)
 
 
+def test_what_lay_on_the_part_and_came_along_leaves_its_area() -> None:
+    """Three quarters of it lie on the part, within the outline, and a quarter beside it."""
+    on_top = (TARGET[0] + 0.015, 0.0, 0.02)
+    assert gone([TARGET, on_top], []) > 0.6 * 0.06 * 0.04
+    assert gone([TARGET, on_top], [on_top]) == 0.0
+
+
+def test_the_sum_is_zero_for_a_neighbour_that_slid_to_where_the_part_was() -> None:
+    assert gone([TARGET, NEIGHBOUR], [TARGET]) == pytest.approx(0.0, abs=2e-4)
+    assert gone([TARGET], [TARGET]) < -0.9 * 0.06 * 0.04
+
+
 def test_what_lay_under_the_part_does_not_show() -> None:
     assert gone([TARGET], [(*TARGET[:2], 0.0)]) == 0.0
 
