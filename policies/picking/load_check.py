@@ -32,8 +32,8 @@ class DoubleSettings:
     deviations: float = 2.0  # standard deviations of the mean by which the weight must at least exceed one part's
     image: bool = True  # whether an image of the bin decides where the weight of one part and of two are too near
     sure: float = 2.5  # standard deviations of the mean within which the weight may be that of one part, or of two
-    # area that is gone from the bin beside or on the picked part, as a share of its mean silhouette, beyond which more than
-    # one part came along
+    # area that is gone from the bin beside or on the picked part, as a share of its mean silhouette, beyond which more
+    # than one part came along
     most_gone: float = 0.5
 
     def __post_init__(self) -> None:
