@@ -34,7 +34,7 @@ from binpick_env.parts.part import Part, resolve_part
 from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
 from perception.bin import Trust
-from perception.frame import Frame, Workspace
+from perception.frame import Workspace
 from perception.geometry import Floats
 from perception.runtime.threads import use_threads
 from perception.segmentation.choices import NetworkName
@@ -193,7 +193,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             raise ValueError(f"obs_mode must be 'state' or 'rgbd', got {obs_mode!r}")
         threads = thread_count(threads)
         self._num_parts = count_range(num_parts)
-        self._sensor = sensor_model(sensor)
+        self.sensor = sensor_model(sensor)
         # The cell, what perceives it, and what shows it.
         self.config = resolve_cell(config, camera, **cell)
         self.part = resolve_part(part, unit, symmetry, density, symmetry_tolerance)
@@ -306,12 +306,6 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         self._episode = replace(self.episode, frame=frame)
         return self._observation()
 
-    def image(self) -> Frame:
-        """Take an image of the bin now that nothing perceives: the last frame, its candidates and its number stay."""
-        self.simulation.refresh()
-        self.camera.displace(*self.episode.reported)
-        return self.camera.capture(self.simulation.data, self.np_random, self._sensor, self.light).frame
-
     def snapshot(self) -> Snapshot:
         """Return the state of the cell for :meth:`restore`, with its last frame and its random numbers.
 
@@ -348,7 +342,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         simulation.refresh()
         started = time.perf_counter()
         self.camera.displace(*hand_eye)
-        capture = self.camera.capture(simulation.data, self.np_random, self._sensor, self.light)
+        capture = self.camera.capture(simulation.data, self.np_random, self.sensor, self.light)
         captured = time.perf_counter()
         if self.config.calibration.trust == "bin":
             capture = correct_by_bin(capture, self.workspace)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from binpick_env.env import BinPickEnv
 from perception.frame import Frame
 from perception.geometry import Floats
 from perception.part import PartModel
@@ -17,6 +18,13 @@ _FILLED = 0.002  # the same where the picked part was: something that is nearly 
 _ON_TOP = 0.004  # height over the picked part's surface from which a cell shows what lies on it [m]
 _MARGIN = 0.006  # width around the picked part's outline that is left out [m]: pose errors, and edges
 _CROSS = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
+
+
+def image_of(env: BinPickEnv) -> Frame:
+    """Take an image of the bin now that nothing perceives: the environment's last frame and its candidates stay."""
+    env.simulation.refresh()
+    env.camera.displace(*env.episode.reported)
+    return env.camera.capture(env.simulation.data, env.np_random, env.sensor, env.light).frame
 
 
 def gone_beside(scene: ObservedScene, image: Frame, surface_part: Floats, T_world_part: Floats, wall: float) -> float:

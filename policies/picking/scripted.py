@@ -27,7 +27,7 @@ from policies.picking.attempt_planner import AttemptPlanner, DropPlaces, Press
 from policies.picking.execution import Execution, ExecutionSettings
 from policies.picking.extra_decisions import PER_PART, ExtraDecisions
 from policies.picking.load_check import LoadCheck
-from policies.picking.load_image import gone_beside, mean_silhouette
+from policies.picking.load_image import gone_beside, image_of, mean_silhouette
 from policies.picking.pusher import Pusher
 from policies.picking.settings import PickerSettings
 
@@ -346,7 +346,7 @@ class ScriptedPicker:
         env = self._env
         if not check.needs_image or env.frame_id != plan.frame_id:  # at home the next frame has been taken
             return False, 0.0
-        image = env.image()
+        image = image_of(env)
         started = time.perf_counter()
         gone = gone_beside(self.observed_scene(), image, self.grasp_set.surface, T_world_part, env.config.bin.wall)
         double = check.see(gone / mean_silhouette(env.part.model))

@@ -248,18 +248,3 @@ def test_the_camera_sees_the_simulation_of_the_env(env: BinPickEnv) -> None:
     own = camera.capture(env.simulation.data, np.random.default_rng(0), "none")
     np.testing.assert_array_equal(own.depth_true, capture.depth_true)
     np.testing.assert_array_equal(own.instance_ids, capture.instance_ids)
-
-
-def test_an_image_shows_the_bin_now_and_leaves_the_frame(env: BinPickEnv) -> None:
-    frame, candidates, number = env.frame, env.candidates, env.frame_id
-    same = env.image()
-    np.testing.assert_array_equal(same.T_world_cam, frame.T_world_cam)
-    assert np.median(np.abs(same.depth - frame.depth)[frame.depth > 0]) < 0.001
-    for part in np.flatnonzero(env.simulation.in_play):
-        env.simulation.park(int(part))
-    empty = env.image()
-    floor = np.median(empty.depth[empty.depth > 0])
-    lower = (empty.depth - same.depth > 0.005) & (same.depth > 0)
-    assert lower.sum() > 500
-    assert np.median(empty.depth[lower]) == pytest.approx(floor, abs=0.003)
-    assert (env.frame, env.candidates, env.frame_id) == (frame, candidates, number)

@@ -13,7 +13,8 @@ from perception.geometry import camera_matrix, make_transform
 from perception.part import PartModel
 from policies.grasping.heightmap import HeightMap
 from policies.grasping.observed_scene import ObservedScene
-from policies.picking.load_image import gone_beside, mean_silhouette
+from policies.picking.load_image import gone_beside, image_of, mean_silhouette
+from tests.binpick_env.small_cell import small_env
 
 WORKSPACE = Workspace(T_world_bin=make_transform(translation=(0.5, 0.1, 0.02)), inner_size=np.array([0.3, 0.2, 0.1]))
 WALL, DISTANCE, SIZE = 0.02, 0.9, (320, 240)
@@ -101,3 +102,20 @@ def test_an_image_of_another_camera_is_refused() -> None:
     text = r"the image must be by the camera of the scene's frame, got images of \(238, 320\) and \(240, 320\)"
     with pytest.raises(ValueError, match=text):
         gone([TARGET, NEIGHBOUR], [], image=small)
+
+
+def test_an_image_shows_the_bin_now_and_leaves_the_frame() -> None:
+    env = small_env()
+    env.reset(seed=0)
+    frame, candidates, number = env.frame, env.candidates, env.frame_id
+    same = image_of(env)
+    np.testing.assert_array_equal(same.T_world_cam, frame.T_world_cam)
+    assert np.median(np.abs(same.depth - frame.depth)[frame.depth > 0]) < 0.001
+    for part in np.flatnonzero(env.simulation.in_play):
+        env.simulation.park(int(part))
+    empty = image_of(env)
+    floor = np.median(empty.depth[empty.depth > 0])
+    lower = (empty.depth - same.depth > 0.005) & (same.depth > 0)
+    assert lower.sum() > 500
+    assert np.median(empty.depth[lower]) == pytest.approx(floor, abs=0.003)
+    assert (env.frame, env.candidates, env.frame_id) == (frame, candidates, number)
