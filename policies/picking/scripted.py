@@ -320,22 +320,29 @@ class ScriptedPicker:
             execution.retrace()
             return planning
         if execution.carry(carry, self.gripper.control(self.settings.empty_gap), check, stop=may_put_back):
-            double, computing = self._more_is_gone(plan, T_world_part, check) if may_put_back else (False, 0.0)
-            planning += computing
-            if double:
-                planning += self._put_back(plan, execution, T_world_part, check)
-            else:
-                execution.release()
+            planning += self._deliver(plan, execution, T_world_part, check, may_put_back)
         elif execution.double and execution.still_double(check):
             planning += self._put_back(plan, execution, T_world_part, check)
-        elif check.result is not None:  # it is one part after all
+        elif check.result is not None:  # it is one part after all, or only an image can tell
             started = time.perf_counter()
             q_from = self._env.simulation.target.copy()
             carry = self._planner.carry(plan.q_grasp, grasp, T_world_part, pile, q_from)
             planning += time.perf_counter() - started
-            if carry is None or execution.carry(carry, self.gripper.control(self.settings.empty_gap)):
+            if carry is None:
                 execution.release()
+            elif execution.carry(carry, self.gripper.control(self.settings.empty_gap)):
+                planning += self._deliver(plan, execution, T_world_part, check, may_put_back)
         return planning + self._go_home(execution)
+
+    def _deliver(
+        self, plan: Plan, execution: Execution, T_world_part: Floats, check: LoadCheck, may_put_back: bool
+    ) -> float:
+        """Release the load over the tray, or put back what is more than one part; return the time of planning [s]."""
+        double, planning = self._more_is_gone(plan, T_world_part, check) if may_put_back else (False, 0.0)
+        if double:
+            return planning + self._put_back(plan, execution, T_world_part, check)
+        execution.release()
+        return planning
 
     def _more_is_gone(self, plan: Plan, T_world_part: Floats, check: LoadCheck) -> tuple[bool, float]:
         """Look over the tray, out of the camera's view, whether more than the part is gone from the bin, if need be.

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from policies.grasping.outcomes import GraspOutcome, PickResult
-from policies.picking.load_check import DoubleSettings
+from policies.picking.load_check import DoubleSettings, LoadCheck
 from policies.picking.scripted import T_SENSE, ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import HandCell, hand_cell
@@ -59,6 +59,24 @@ def test_a_load_that_left_two_places_is_put_back_from_over_the_tray(light_lids: 
     held = env.simulation.part_centres()[env.simulation.in_play]
     assert env.workspace.contains(held).all()
     assert light_lids.at_home
+
+
+def test_an_image_decides_too_where_the_weight_at_rest_is_undecided(
+    light_lids: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The load seemed to be two at the end of the lift, and may be one when it is weighed again."""
+    answers = iter([True, False])
+    decide = LoadCheck.decide
+
+    def unsure(check: LoadCheck) -> bool:
+        decide(check)
+        return next(answers)
+
+    monkeypatch.setattr(LoadCheck, "decide", unsure)
+    result = pick(light_lids, along=True)
+    assert next(answers, None) is None
+    assert result.double_check is not None
+    assert (result.outcome, result.double_check.image) == (GraspOutcome.PUT_BACK, True)
 
 
 def test_no_image_is_taken_where_nothing_may_be_put_back(light_lids: HandCell) -> None:
