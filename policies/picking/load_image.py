@@ -80,7 +80,8 @@ def _beside(outline: NDArray[np.bool_], heights: HeightMap) -> NDArray[np.bool_]
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * cells + 1, 2 * cells + 1))
     beside = np.zeros(outline.shape, dtype=np.bool_)
     beside[heights.inner] = True
-    return beside & (cv2.dilate(outline.astype(np.uint8), around) == 0)
+    beside &= cv2.dilate(outline.astype(np.uint8), around) == 0
+    return beside
 
 
 def _area(cells: NDArray[np.bool_]) -> int:
