@@ -193,7 +193,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
             raise ValueError(f"obs_mode must be 'state' or 'rgbd', got {obs_mode!r}")
         threads = thread_count(threads)
         self._num_parts = count_range(num_parts)
-        self._sensor = sensor_model(sensor)
+        self.sensor = sensor_model(sensor)
         self.config = resolve_cell(config, camera, **cell)
         self.part = resolve_part(part, unit, symmetry, density, symmetry_tolerance)
         check_part(self.part, self.config)
@@ -341,7 +341,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         simulation.refresh()
         started = time.perf_counter()
         self.camera.displace(*hand_eye)
-        capture = self.camera.capture(simulation.data, self.np_random, self._sensor, self.light)
+        capture = self.camera.capture(simulation.data, self.np_random, self.sensor, self.light)
         captured = time.perf_counter()
         if self.config.calibration.trust == "bin":
             capture = correct_by_bin(capture, self.workspace)

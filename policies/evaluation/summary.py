@@ -41,8 +41,9 @@ class Summary:
         termination: Number of bins, by the reason why they ended.
         outcomes: Number of attempts, by how they ended.
         pushes: Number of pushes, by how they ended. Their time counts in mpph and motion_dph.
-        doubles: Number of ``lifts`` with a part and of ``doubles`` among them, and what the detectors ``jaw`` and
-            ``weight``, and ``either`` of them, said: ``detected``, ``missed`` and ``false_alarms``.
+        doubles: Number of ``lifts`` with a part and of ``doubles`` among them, and what the detectors ``jaw``,
+            ``weight`` and ``image``, and ``either`` of them, said: ``detected``, ``missed`` and ``false_alarms``.
+            ``lifts`` of ``image`` counts those after which an image was taken.
         time: Means over attempts [s]: sense (nominal), compute (wall clock, one core), motion (simulated).
         wall: Wall clock without listeners such as pictures: mean of an attempt without the drop [s], mean of a bin
             with the drop [s], and the share of the whole in which frames were rendered.

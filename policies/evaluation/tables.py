@@ -51,7 +51,7 @@ def _doubles(doubles: Mapping[str, int | dict[str, int]]) -> list[str]:
         return []
     lines = [f"{'more than one part lifted':<{_NAME}}{doubles['doubles']} of {doubles['lifts']} lifts"]
     for name, counts in doubles.items():
-        if isinstance(counts, dict):
+        if isinstance(counts, dict) and counts.get("lifts") != 0:  # an image is taken of light parts alone
             words = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in counts.items())
             lines.append(f"  {'found by the ' + name if name != 'either' else 'found by either':<{_NAME - 2}}{words}")
     return lines

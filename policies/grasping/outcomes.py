@@ -93,6 +93,9 @@ class DoubleCheck:
         jaw: Whether the jaw says that there is more than one part.
         weight: Whether the weight says so.
         held: True number of parts that came along (for reports; a policy never reads it).
+        gone: Area that is gone from the bin beside or on the picked part, as a share of the part's mean silhouette;
+            None where no image was taken of the bin.
+        image: Whether the image says that there is more than one part; None where none was taken.
     """
 
     jaw_excess: float
@@ -100,6 +103,8 @@ class DoubleCheck:
     jaw: bool
     weight: bool
     held: int
+    gone: float | None = None
+    image: bool | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,4 +1,4 @@
-"""Telling one part in the jaw from more: by the distance between the pads, and by the weight."""
+"""Telling one part in the jaw from more: by the distance between the pads, by the weight, and by what is gone."""
 
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -30,6 +30,11 @@ class DoubleSettings:
     second_drop: float = 0.08  # the same for parts that were put back together before: the fall is to part them
     scale: float = 0.4  # share of velocity and acceleration limits used with the load that is put back
     deviations: float = 2.0  # standard deviations of the mean by which the weight must at least exceed one part's
+    image: bool = True  # whether an image of the bin decides where the weight of one part and of two are too near
+    sure: float = 2.5  # standard deviations of the mean within which the weight may be that of one part, or of two
+    # area that is gone from the bin beside or on the picked part, as a share of its mean silhouette, beyond which more
+    # than one part came along
+    most_gone: float = 0.5
 
     def __post_init__(self) -> None:
         if self.readings < 1:
@@ -37,6 +42,9 @@ class DoubleSettings:
         if not (self.jaw_tolerance > 0 and self.deviations >= 0):
             values = self.jaw_tolerance, self.deviations
             raise ValueError(f"jaw_tolerance must be positive and deviations at least 0, got {values}")
+        if not (self.sure >= 0 and self.most_gone > 0):
+            values = self.sure, self.most_gone
+            raise ValueError(f"sure must be at least 0 and most_gone positive, got {values}")
 
     def heaviest(self, mass: float) -> float:
         """Return the weight [N] up to which a load counts as one part of ``mass`` [kg].
@@ -44,6 +52,14 @@ class DoubleSettings:
         It lies midway between one part and two, or higher where the sensor would take one part for two too often.
         """
         return GRAVITY * mass + max(0.5 * GRAVITY * mass, self.deviations * self.force.deviation(self.readings))
+
+    def undecided(self, mass: float, weight: float) -> bool:
+        """Tell whether a ``weight`` [N] may be that of one part of ``mass`` [kg] as well as of two.
+
+        It never may where the sensor's error is small against the part's weight.
+        """
+        error = self.sure * self.force.deviation(self.readings)
+        return 2 * GRAVITY * mass - error < weight < GRAVITY * mass + error
 
 
 class LoadCheck:
@@ -117,7 +133,25 @@ class LoadCheck:
             held=0,
         )
         self.result = replace(measured, held=self._held())
-        return (measured.jaw and settings.jaw) or (measured.weight and settings.weight)
+        return (measured.jaw and settings.jaw) or (measured.weight and settings.weight and not self.needs_image)
+
+    @property
+    def needs_image(self) -> bool:
+        """Whether only an image of the bin can tell one part from two."""
+        settings, simulation = self._settings, self._simulation
+        weight = self.result.load * GRAVITY * simulation.part.mass if self.result is not None else 0.0
+        return settings.image and self.result is not None and settings.undecided(simulation.part.mass, weight)
+
+    def see(self, gone: float) -> bool:
+        """Add to ``result`` what an image of the bin shows; return whether it says that there is more than one part.
+
+        Args:
+            gone: Area that is gone beside the picked part, as a share of the part's mean silhouette.
+        """
+        assert self.result is not None
+        image = gone > self._settings.most_gone
+        self.result = replace(self.result, gone=gone, image=image)
+        return image
 
     def _held(self) -> int:
         """Return the true number of parts that have risen with the gripper."""

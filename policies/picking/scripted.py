@@ -27,6 +27,7 @@ from policies.picking.attempt_planner import AttemptPlanner, DropPlaces, Press
 from policies.picking.execution import Execution, ExecutionSettings
 from policies.picking.extra_decisions import PER_PART, ExtraDecisions
 from policies.picking.load_check import LoadCheck
+from policies.picking.load_image import gone_beside, image_of, mean_silhouette
 from policies.picking.pusher import Pusher
 from policies.picking.settings import PickerSettings
 
@@ -253,7 +254,7 @@ class ScriptedPicker:
             grasp=plan.grasp,
             part=candidate.part,
             delivered=kinds.count(Delivery.DELIVERED),
-            t_sense=T_SENSE,
+            t_sense=T_SENSE if check.result is None or check.result.image is None else 2 * T_SENSE,
             t_compute=planning,
             t_motion=env.simulation.time - began,
             frame_id=plan.frame_id,
@@ -319,22 +320,49 @@ class ScriptedPicker:
             execution.retrace()
             return planning
         if execution.carry(carry, self.gripper.control(self.settings.empty_gap), check, stop=may_put_back):
-            execution.release()
+            planning += self._deliver(plan, execution, T_world_part, check, may_put_back)
         elif execution.double and execution.still_double(check):
             planning += self._put_back(plan, execution, T_world_part, check)
-        elif check.result is not None:  # it is one part after all
+        elif check.result is not None:  # it is one part after all, or only an image can tell
             started = time.perf_counter()
             q_from = self._env.simulation.target.copy()
             carry = self._planner.carry(plan.q_grasp, grasp, T_world_part, pile, q_from)
             planning += time.perf_counter() - started
-            if carry is None or execution.carry(carry, self.gripper.control(self.settings.empty_gap)):
+            if carry is None:
                 execution.release()
+            elif execution.carry(carry, self.gripper.control(self.settings.empty_gap)):
+                planning += self._deliver(plan, execution, T_world_part, check, may_put_back)
         return planning + self._go_home(execution)
+
+    def _deliver(
+        self, plan: Plan, execution: Execution, T_world_part: Floats, check: LoadCheck, may_put_back: bool
+    ) -> float:
+        """Release the load over the tray, or put back what is more than one part; return the time of planning [s]."""
+        double, planning = self._more_is_gone(plan, T_world_part, check) if may_put_back else (False, 0.0)
+        if double:
+            return planning + self._put_back(plan, execution, T_world_part, check)
+        execution.release()
+        return planning
+
+    def _more_is_gone(self, plan: Plan, T_world_part: Floats, check: LoadCheck) -> tuple[bool, float]:
+        """Look over the tray, out of the camera's view, whether more than the part is gone from the bin, if need be.
+
+        Returns:
+            Whether more is gone, and the wall clock spent on it [s].
+        """
+        env = self._env
+        if not check.needs_image or env.frame_id != plan.frame_id:  # at home the next frame has been taken
+            return False, 0.0
+        image = image_of(env)
+        started = time.perf_counter()
+        gone = gone_beside(self.observed_scene(), image, self.grasp_set.surface, T_world_part, env.config.bin.wall)
+        double = check.see(gone / mean_silhouette(env.part.model))
+        return double, time.perf_counter() - started
 
     def _put_back(self, plan: Plan, execution: Execution, T_world_part: Floats, check: LoadCheck) -> float:
         """Put more than one part back where the pile is low; return the wall clock spent on planning [s].
 
-        Where there is no way to such a place, they are let go where they are: above the bin.
+        Where there is no way to such a place, they are let go where they are: above the bin, or over the tray.
         """
         started = time.perf_counter()
         pile, q_from = self._pile_height(), self._env.simulation.target.copy()

@@ -90,6 +90,11 @@ def test_what_the_detectors_of_doubles_said_is_counted_and_printed() -> None:
     table = result_table(summary)
     assert "more than one part lifted   1 of 4 lifts" in table
     assert "found by the weight       1 detected, 0 missed, 0 false alarms" in table
+    assert "image" not in table
+    seen = replace(attempt(GraspOutcome.PUT_BACK), double_check=replace(double, gone=1.2, image=True))
+    assert "found by the image        1 lifts, 1 detected, 0 missed, 0 false alarms" in result_table(
+        summary_of([record(0, *lifts, seen)])
+    )
 
 
 def test_wall_clock_leaves_the_drop_out_of_an_attempt(records: list[BinRecord]) -> None:

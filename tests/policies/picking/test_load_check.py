@@ -1,6 +1,6 @@
 """One part or more, from made-up readings of the jaw and of the force."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -111,6 +111,32 @@ def test_a_light_part_is_not_taken_for_two_where_the_sensor_is_poor() -> None:
     assert QUIET.heaviest(MASS) == pytest.approx(1.5 * GRAVITY * MASS)
 
 
+@pytest.mark.parametrize(
+    ("drift", "parts", "undecided"),
+    # 2.5 standard deviations are half a part's weight at 0.2 parts, and then nothing is undecided
+    [(0.19, 1.5, False), (0.21, 1.5, True), (0.3, 1.2, False), (0.3, 1.3, True), (0.3, 1.7, True), (0.3, 1.8, False)],
+)
+def test_a_weight_that_may_be_of_one_part_and_of_two_is_undecided(drift: float, parts: float, undecided: bool) -> None:
+    settings = DoubleSettings(force=WristForceNoise(noise=0.0, drift=drift * GRAVITY * MASS))
+    check = steady(Hand(), parts * GRAVITY * MASS, settings)
+    found = check.decide()
+    assert check.needs_image is undecided
+    assert found is (not undecided and parts > 1.5)  # the image is left to decide
+    without = steady(Hand(), parts * GRAVITY * MASS, replace(settings, image=False))
+    without.decide()
+    assert not without.needs_image
+
+
+@pytest.mark.parametrize(("gone", "double"), [(-0.2, False), (0.49, False), (0.51, True)])
+def test_what_an_image_shows_is_kept(gone: float, double: bool) -> None:
+    check = steady(Hand(), 1.3 * GRAVITY * MASS)
+    check.decide()
+    assert check.result is not None
+    assert (check.result.gone, check.result.image) == (None, None)
+    assert check.see(gone) is double
+    assert (check.result.gone, check.result.image, check.result.load) == (gone, double, pytest.approx(1.3))
+
+
 @pytest.mark.parametrize(("carried", "held"), [((True, False), 1), ((True, True), 2), ((False, False), 0)])
 def test_parts_that_rise_with_the_gripper_are_held(carried: tuple[bool, ...], held: int) -> None:
     check = steady(Hand(carried=carried), 1.0)
@@ -139,6 +165,8 @@ def test_a_load_that_rests_on_something_is_lighter_and_the_sensor_is_tared_first
         ({"readings": 0}, "readings must be at least 1, got 0"),
         ({"jaw_tolerance": 0.0}, "jaw_tolerance must be positive and deviations at least 0, got"),
         ({"deviations": -1.0}, "jaw_tolerance must be positive and deviations at least 0, got"),
+        ({"sure": -1.0}, "sure must be at least 0 and most_gone positive, got"),
+        ({"most_gone": 0.0}, "sure must be at least 0 and most_gone positive, got"),
     ],
 )
 def test_impossible_settings_are_refused(wrong: dict[str, Any], text: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 from policies.grasping.outcomes import GraspOutcome
 from policies.picking.extra_decisions import PER_PART
 from policies.picking.load_check import DoubleSettings, LoadCheck
-from policies.picking.scripted import ScriptedPicker
+from policies.picking.scripted import T_SENSE, ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import HandCell
 
@@ -59,6 +59,7 @@ def test_a_lone_lid_is_no_double(careful: HandCell) -> None:
     assert result.outcome is GraspOutcome.DELIVERED
     assert result.double_check is not None
     assert (result.double_check.weight, result.double_check.jaw, result.double_check.held) == (False, False, 1)
+    assert (result.double_check.image, result.t_sense) == (None, T_SENSE)  # its weight is enough
 
 
 def test_where_nothing_is_put_back_a_double_is_found_and_goes_to_the_tray(

@@ -25,7 +25,7 @@ def test_cells_have_the_options_of_a_cell() -> None:
     assert env.cell.config == CellOptions(**options).cell()
     assert env.cell.config.camera.hand_eye == 0.01
     assert env.cell.part is CellOptions(**options).load_part()
-    assert (env.cell._num_parts, env.cell._sensor, env.max_failures) == ((1, 2), PRESETS["harsh"], 3)
+    assert (env.cell._num_parts, env.cell.sensor, env.max_failures) == ((1, 2), PRESETS["harsh"], 3)
     env.close()
 
 

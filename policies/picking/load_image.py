@@ -1,0 +1,89 @@
+"""What a load has left behind: the surface that is gone from the bin beside the part that was picked."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from binpick_env.env import BinPickEnv
+from perception.frame import Frame
+from perception.geometry import Floats
+from perception.part import PartModel
+from policies.grasping.heightmap import HeightMap
+from policies.grasping.observed_scene import ObservedScene
+
+_STEP = 0.003  # change of height from which a cell shows another surface [m]: above the noise, below thin plates
+_FILLED = 0.002  # the same where the picked part was: something that is nearly as high lies there now [m]
+_ON_TOP = 0.004  # height over the picked part's surface from which a cell shows what lies on it [m]
+_MARGIN = 0.006  # width around the picked part's outline that is left out [m]: pose errors, and edges
+_CROSS = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
+
+
+def image_of(env: BinPickEnv) -> Frame:
+    """Take an image of the bin now that nothing perceives: the environment's last frame and its candidates stay."""
+    env.simulation.refresh()
+    env.camera.displace(*env.episode.reported)
+    return env.camera.capture(env.simulation.data, env.np_random, env.sensor, env.light).frame
+
+
+def gone_beside(scene: ObservedScene, image: Frame, surface_part: Floats, T_world_part: Floats, wall: float) -> float:
+    """Return the area beside or on a picked part that is lower than before, less the area that is higher [m^2].
+
+    A neighbour that came along leaves its area lower. One that only slid lowers the surface in one place and raises it
+    in another, which may be where the picked part was. What came along from under that part does not show.
+
+    Args:
+        scene: The bin before the attempt.
+        image: Image of the bin with the arm and its load out of view, by the camera of the scene's frame, which has
+            not moved.
+        surface_part: (S, 3) dense points on the part's surface, part frame [m].
+        T_world_part: (4, 4) pose of the picked part before the attempt.
+        wall: Thickness of the bin's walls [m].
+
+    Raises:
+        ValueError: The image is of another camera.
+    """
+    if image.depth.shape != scene.frame.depth.shape or not np.array_equal(image.K, scene.frame.K):
+        sizes = f"{image.depth.shape} and {scene.frame.depth.shape}"
+        raise ValueError(f"the image must be by the camera of the scene's frame, got images of {sizes}")
+    before = scene.heights
+    unmoved = replace(image, T_world_cam=scene.frame.T_world_cam)
+    after = HeightMap.from_frame(unmoved, scene.workspace, cell=before.cell, wall=wall).measured
+    surface = before.rasterise(surface_part, T_world_part)
+    outline = np.isfinite(surface)
+    seen = np.isfinite(before.measured) & np.isfinite(after)
+    rise = _difference(after, before.measured, seen)
+    above = _difference(before.measured, surface, seen & outline)
+    own = seen & outline & (np.abs(above) <= _ON_TOP)  # cells that showed the part itself
+    others = seen & (_beside(outline, before) | (outline & (above > _ON_TOP)))
+    higher = (others & (rise > _STEP)) | (own & (rise > -_FILLED))
+    return before.cell**2 * (_area(others & (rise < -_STEP)) - _area(higher))
+
+
+def mean_silhouette(part: PartModel) -> float:
+    """Return the area of the silhouette of a part's convex hull [m^2], as a mean over all directions.
+
+    It is a quarter of the hull's surface (Cauchy).
+    """
+    return float(part.mesh.convex_hull.area) / 4
+
+
+def _difference(first: Floats, second: Floats, known: NDArray[np.bool_]) -> Floats:
+    """Return first - second where both are known, 0 elsewhere."""
+    return np.where(known, first, 0.0) - np.where(known, second, 0.0)
+
+
+def _beside(outline: NDArray[np.bool_], heights: HeightMap) -> NDArray[np.bool_]:
+    """Return the (X, Y) mask of the cells within the bin's walls that lie farther from an outline than the margin."""
+    cells = int(np.ceil(_MARGIN / heights.cell))
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * cells + 1, 2 * cells + 1))
+    beside = np.zeros(outline.shape, dtype=np.bool_)
+    beside[heights.inner] = True
+    beside &= cv2.dilate(outline.astype(np.uint8), around) == 0
+    return beside
+
+
+def _area(cells: NDArray[np.bool_]) -> int:
+    """Return the number of cells of a mask, without lines one cell wide: edges that noise moved."""
+    return int(cv2.morphologyEx(cells.astype(np.uint8), cv2.MORPH_OPEN, _CROSS).sum())
