@@ -10,6 +10,7 @@ from perception.geometry import Floats
 
 HOLD = 1.0  # longest time that a stop lasts [s]: whoever presses on in vain may try again, once a second
 
+_LEAST_CHANGE = 1e-5  # change of the targets that counts as none [rad]: actions are rounded to 32 bits
 _LEVER = 0.05  # a force over the limit is looked for once a joint has its torque over this lever [m]
 _DAMPING = 1e-4  # of the least squares near singular postures [m^2]
 
@@ -70,12 +71,16 @@ class ProtectiveStop:
         """
         self._change = change
         if self.active is not None:
-            over = self.active.periods == 0 or change @ self.active.against > 0
+            against = self.active.against
+            away = change @ against > _LEAST_CHANGE * np.linalg.norm(against)
+            over = self.active.periods == 0 or away
             self.active = None if over else replace(self.active, periods=self.active.periods - 1)
         return self.active is not None
 
     def trips(self) -> bool:
         """Tell whether the arm pressed too hard in the last physics step; a stop begins then."""
+        if self.active is not None:
+            return False
         a, b, c, d, e, f = self._torques
         m = self._least
         if -m < a < m and -m < b < m and -m < c < m and -m < d < m and -m < e < m and -m < f < m:

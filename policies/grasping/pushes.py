@@ -55,8 +55,13 @@ class PushSettings:
 
     def __post_init__(self) -> None:
         for name in (field.name for field in fields(self) if field.name != "enabled"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be positive and finite, got {getattr(self, name)}")
+        if max(self.press_speed, self.drag_speed) > 1:
+            raise ValueError(f"press_speed and drag_speed must be at most 1, got {self.press_speed}, {self.drag_speed}")
+        if max(self.press_force, self.drag_force) >= self.stop_force:
+            forces = f"{self.press_force}, {self.drag_force} and {self.stop_force}"
+            raise ValueError(f"press_force and drag_force must be under stop_force, got {forces} N")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,6 +1,7 @@
 """The motions of an attempt: to the grasp, with the part to the tray, and home."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -168,24 +169,23 @@ class AttemptPlanner:
         """
         part_tcp, tool = self._load(q_grasp, grasp, T_world_part)
         T_world_tcp = self._ik.tcp_pose(q_from)
-        middle = T_world_tcp[:3, :3] @ part_tcp.mean(axis=0)
-        points = tool.points_tcp @ T_world_tcp[:3, :3].T
         lift = self._motion.clearing_lift(q_from, tool) + _LIFT_MARGIN
         height = float(T_world_tcp[2, 3]) + lift
-        for x, y in places.world:
-            over = make_transform(T_world_tcp[:3, :3], (x, y, height))
-            beside = points + np.array([x, y, 0.0])
-            release = float((pile(beside) - points[:, 2]).max()) + places.drop
-            reached = self._ik.solve(over, q_from, opening=grasp.width)
+        # As the gripper is now, and as it came out of the bin: on the way it may have turned to where a wall is in its way.
+        turns = [self._ik.tcp_pose(q)[:3, :3] for q in (q_from, q_grasp)]
+        for (x, y), R_world_tcp in product(places.world, turns):
+            points = tool.points_tcp @ R_world_tcp.T + np.array([x, y, 0.0])
+            release = float((pile(points) - points[:, 2]).max()) + places.drop
+            reached = self._ik.solve(make_transform(R_world_tcp, (x, y, height)), q_from, opening=grasp.width)
             if not reached.ok or release > height:
                 continue
             legs = StraightLegs(lift=lift)
             scale = self._settings.doubles.scale
             across = self._motion.plan_transfer(q_from, reached.q, tool, legs, obstacle_height=pile, scale=scale)
-            lowered = make_transform(T_world_tcp[:3, :3], (x, y, release))
+            lowered = make_transform(R_world_tcp, (x, y, release))
             down = self._motion.plan_line(reached.q, lowered, tool, speed=self._settings.approach_speed, scale=scale)
             if across.trajectory is not None and down.trajectory is not None:
-                place = np.array([x, y, release - places.drop]) + middle
+                place = np.array([x, y, release - places.drop]) + R_world_tcp @ part_tcp.mean(axis=0)
                 return PutBack(across=across.trajectory, down=down.trajectory, place_world=place)
         return None
 

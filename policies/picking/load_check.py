@@ -12,6 +12,7 @@ from perception.geometry import Floats
 from policies.grasping.gripper import GripperModel
 from policies.grasping.outcomes import DoubleCheck
 
+_LAST = 3  # number of readings that tell whether a load rests on something
 _RISEN = 0.5  # share of the gripper's rise from which a part has come along
 
 
@@ -30,7 +31,8 @@ class DoubleSettings:
     second_drop: float = 0.08  # the same for parts that were put back together before: the fall is to part them
     scale: float = 0.4  # share of velocity and acceleration limits used with the load that is put back
     deviations: float = 2.0  # standard deviations of the mean by which the weight must at least exceed one part's
-    image: bool = True  # whether an image of the bin decides where the weight of one part and of two are too near
+    # whether an image of the bin decides where the weight is a reason, but that of one part and of two are too near
+    image: bool = True
     sure: float = 2.5  # standard deviations of the mean within which the weight may be that of one part, or of two
     # area that is gone from the bin beside or on the picked part, as a share of its mean silhouette, beyond which more
     # than one part came along
@@ -39,6 +41,9 @@ class DoubleSettings:
     def __post_init__(self) -> None:
         if self.readings < 1:
             raise ValueError(f"readings must be at least 1, got {self.readings}")
+        if not (0 < self.drop < np.inf and 0 < self.second_drop < np.inf and 0 < self.scale <= 1):
+            values = self.drop, self.second_drop, self.scale
+            raise ValueError(f"drop and second_drop must be positive and scale in (0, 1], got {values}")
         if not (self.jaw_tolerance > 0 and self.deviations >= 0):
             values = self.jaw_tolerance, self.deviations
             raise ValueError(f"jaw_tolerance must be positive and deviations at least 0, got {values}")
@@ -87,6 +92,7 @@ class LoadCheck:
         self._readings: deque[tuple[float, float]] = deque(maxlen=settings.readings + 1)  # force [N], height [m]
         self._before: tuple[Floats, float] | None = None  # heights of the parts and of the tcp before the lift [m]
         self.result: DoubleCheck | None = None
+        self.image_possible = False  # whether an image of the bin can be taken before the load is let go
         sensor.tare()
 
     def feel(self) -> None:
@@ -112,10 +118,16 @@ class LoadCheck:
         return float(force[1:].mean() * GRAVITY / max(GRAVITY + acceleration, 1.0))
 
     def lightened(self) -> bool:
-        """Whether the last three readings are under half the weight after the lift: the load rests on something."""
+        """Whether the last three readings are under half the weight after the lift: the load rests on something.
+
+        Of a load that is light against the sensor's error, they do not tell.
+        """
         assert self.result is not None
-        lifted = self.result.load * GRAVITY * self._simulation.part.mass
-        return float(np.mean([force for force, _ in list(self._readings)[-3:]])) < 0.5 * lifted
+        settings = self._settings
+        half = 0.5 * self.result.load * GRAVITY * self._simulation.part.mass
+        if half < settings.sure * settings.force.deviation(_LAST):
+            return False
+        return float(np.mean([force for force, _ in list(self._readings)[-_LAST:]])) < half
 
     def decide(self) -> bool:
         """Keep what was measured as ``result``; return whether there is more than one part for a reason that counts.
@@ -137,18 +149,22 @@ class LoadCheck:
 
     @property
     def needs_image(self) -> bool:
-        """Whether only an image of the bin can tell one part from two."""
-        settings, simulation = self._settings, self._simulation
-        weight = self.result.load * GRAVITY * simulation.part.mass if self.result is not None else 0.0
-        return settings.image and self.result is not None and settings.undecided(simulation.part.mass, weight)
+        """Whether only an image of the bin, which can be taken, tells one part from two."""
+        settings, mass = self._settings, self._simulation.part.mass
+        if self.result is None or not (settings.image and settings.weight and self.image_possible):
+            return False
+        return settings.undecided(mass, self.result.load * GRAVITY * mass)
 
-    def see(self, gone: float) -> bool:
-        """Add to ``result`` what an image of the bin shows; return whether it says that there is more than one part.
+    def see(self, gone: float | None) -> bool:
+        """Add to ``result`` what an image of the bin shows; return whether there is more than one part.
 
         Args:
-            gone: Area that is gone beside the picked part, as a share of the part's mean silhouette.
+            gone: Area that is gone beside the picked part, as a share of the part's mean silhouette. None if the image
+                does not show the bin: the weight then decides.
         """
         assert self.result is not None
+        if gone is None:
+            return self.result.weight
         image = gone > self._settings.most_gone
         self.result = replace(self.result, gone=gone, image=image)
         return image

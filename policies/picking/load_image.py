@@ -16,19 +16,24 @@ from policies.grasping.observed_scene import ObservedScene
 _STEP = 0.003  # change of height from which a cell shows another surface [m]: above the noise, below thin plates
 _FILLED = 0.002  # the same where the picked part was: something that is nearly as high lies there now [m]
 _ON_TOP = 0.004  # height over the picked part's surface from which a cell shows what lies on it [m]
+_FAR_ABOVE = 0.06  # height above the rim that no heaped pile reaches [m]
+_HIDDEN = 1e-4  # area in that height from which the bin counts as hidden [m^2]
 _MARGIN = 0.006  # width around the picked part's outline that is left out [m]: pose errors, and edges
 _CROSS = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
 
 
-def image_of(env: BinPickEnv) -> Frame:
-    """Take an image of the bin now that nothing perceives: the environment's last frame and its candidates stay."""
+def image_of(env: BinPickEnv, rng: np.random.Generator) -> Frame:
+    """Take an image of the bin now, with noise drawn from ``rng``: the environment's last frame and its candidates stay."""
     env.simulation.refresh()
-    env.camera.displace(*env.episode.reported)
-    return env.camera.capture(env.simulation.data, env.np_random, env.sensor, env.light).frame
+    return env.camera.capture(env.simulation.data, rng, env.sensor, env.light).frame
 
 
-def gone_beside(scene: ObservedScene, image: Frame, surface_part: Floats, T_world_part: Floats, wall: float) -> float:
+def gone_beside(
+    scene: ObservedScene, image: Frame, surface_part: Floats, T_world_part: Floats, wall: float
+) -> float | None:
     """Return the area beside or on a picked part that is lower than before, less the area that is higher [m^2].
+
+    None if something far above the bin hides a part of it, which can only be the arm with its load.
 
     A neighbour that came along leaves its area lower. One that only slid lowers the surface in one place and raises it
     in another, which may be where the picked part was. What came along from under that part does not show.
@@ -50,6 +55,8 @@ def gone_beside(scene: ObservedScene, image: Frame, surface_part: Floats, T_worl
     before = scene.heights
     unmoved = replace(image, T_world_cam=scene.frame.T_world_cam)
     after = HeightMap.from_frame(unmoved, scene.workspace, cell=before.cell, wall=wall).measured
+    if _area(after > before.rim + _FAR_ABOVE) * before.cell**2 > _HIDDEN:
+        return None
     surface = before.rasterise(surface_part, T_world_part)
     outline = np.isfinite(surface)
     seen = np.isfinite(before.measured) & np.isfinite(after)

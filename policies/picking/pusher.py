@@ -73,7 +73,5 @@ class Pusher:
         for planned in chain(repeat(way.q[0], rest), way.q[1:]):
             lower = control.felt(self._env.simulation.robot_contact().force)
             posture = self._planner.lowered(q, planned, lower)
-            if posture is None:
-                return
-            q = posture
+            q = planned if posture is None else posture
             yield q

@@ -9,6 +9,7 @@ import numpy as np
 
 from binpick_env.candidates import PoseCandidate
 from binpick_env.cell.delivery import Delivery
+from binpick_env.cell.robot import HOME
 from binpick_env.cell.wrist_force import WristForceSensor
 from binpick_env.env import BinPickEnv
 from perception.geometry import Floats, transform_points
@@ -32,7 +33,7 @@ from policies.picking.pusher import Pusher
 from policies.picking.settings import PickerSettings
 
 ExecutionMaker = Callable[[BinPickEnv, ExecutionSettings], Execution]
-_WRIST_STREAM = 1  # number of the random stream of the wrist's force beside the environment's, which stays untouched
+_WRIST_STREAM = 1  # number of the random stream of what is felt and seen in an attempt; the environment's is not used
 T_SENSE = 0.5  # nominal exposure time of a structured-light camera [s]
 
 
@@ -114,8 +115,8 @@ class ScriptedPicker:
         self.failed = FailedGrasps(radius=d_max / 4)
         self._extra = ExtraDecisions(radius=d_max / 2)
         seed = max(self._env.np_random_seed, 0)  # -1 where the generator was given
-        rng = np.random.default_rng([seed, _WRIST_STREAM])
-        self._wrist = WristForceSensor(self._env.simulation, self.settings.doubles.force, rng)
+        self._rng = np.random.default_rng([seed, _WRIST_STREAM])
+        self._wrist = WristForceSensor(self._env.simulation, self.settings.doubles.force, self._rng)
         self._pushed: list[Push] = []  # pushes in this bin
         self._refused: ObservedScene | None = None  # scene of the last decision if it was an abstention
 
@@ -319,8 +320,10 @@ class ScriptedPicker:
             execution.release()
             execution.retrace()
             return planning
+        # At home the next frame would be taken, in which the load is missing.
+        check.image_possible = may_put_back and not np.allclose(carry.q[-1], HOME)
         if execution.carry(carry, self.gripper.control(self.settings.empty_gap), check, stop=may_put_back):
-            planning += self._deliver(plan, execution, T_world_part, check, may_put_back)
+            planning += self._deliver(plan, execution, T_world_part, check)
         elif execution.double and execution.still_double(check):
             planning += self._put_back(plan, execution, T_world_part, check)
         elif check.result is not None:  # it is one part after all, or only an image can tell
@@ -330,33 +333,33 @@ class ScriptedPicker:
             planning += time.perf_counter() - started
             if carry is None:
                 execution.release()
-            elif execution.carry(carry, self.gripper.control(self.settings.empty_gap)):
-                planning += self._deliver(plan, execution, T_world_part, check, may_put_back)
+                return planning + self._go_home(execution)
+            check.image_possible = may_put_back and not np.allclose(carry.q[-1], HOME)
+            if execution.carry(carry, self.gripper.control(self.settings.empty_gap)):
+                planning += self._deliver(plan, execution, T_world_part, check)
         return planning + self._go_home(execution)
 
-    def _deliver(
-        self, plan: Plan, execution: Execution, T_world_part: Floats, check: LoadCheck, may_put_back: bool
-    ) -> float:
+    def _deliver(self, plan: Plan, execution: Execution, T_world_part: Floats, check: LoadCheck) -> float:
         """Release the load over the tray, or put back what is more than one part; return the time of planning [s]."""
-        double, planning = self._more_is_gone(plan, T_world_part, check) if may_put_back else (False, 0.0)
+        double, planning = self._more_is_gone(T_world_part, check)
         if double:
             return planning + self._put_back(plan, execution, T_world_part, check)
         execution.release()
         return planning
 
-    def _more_is_gone(self, plan: Plan, T_world_part: Floats, check: LoadCheck) -> tuple[bool, float]:
+    def _more_is_gone(self, T_world_part: Floats, check: LoadCheck) -> tuple[bool, float]:
         """Look over the tray, out of the camera's view, whether more than the part is gone from the bin, if need be.
 
         Returns:
             Whether more is gone, and the wall clock spent on it [s].
         """
-        env = self._env
-        if not check.needs_image or env.frame_id != plan.frame_id:  # at home the next frame has been taken
+        if not check.needs_image:
             return False, 0.0
-        image = image_of(env)
+        env = self._env
+        image = image_of(env, self._rng)
         started = time.perf_counter()
         gone = gone_beside(self.observed_scene(), image, self.grasp_set.surface, T_world_part, env.config.bin.wall)
-        double = check.see(gone / mean_silhouette(env.part.model))
+        double = check.see(None if gone is None else gone / mean_silhouette(env.part.model))
         return double, time.perf_counter() - started
 
     def _put_back(self, plan: Plan, execution: Execution, T_world_part: Floats, check: LoadCheck) -> float:

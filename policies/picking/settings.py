@@ -29,6 +29,17 @@ class PickerSettings:
     # bends the linkage: with a plate of 3 mm the position reads 1 mm, and -1 mm with nothing.
     empty_gap: float = 0.0
 
+    def __post_init__(self) -> None:
+        for name in ("slow_lift", "approach_speed", "carry_scale"):
+            if not 0 < getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be in (0, 1], got {getattr(self, name)}")
+        if not (self.grasps_tried >= 1 and self.most_buried >= 0 and self.standoff > 0 and self.release_height >= 0):
+            values = self.grasps_tried, self.most_buried, self.standoff, self.release_height
+            raise ValueError(
+                "grasps_tried must be at least 1, most_buried and release_height at least 0 and standoff positive, "
+                f"got {values}"
+            )
+
     def attempts_only(self) -> "PickerSettings":
         """Return the settings without pushes and put-backs, for a policy that chooses attempts and learns from them."""
         doubles, push = replace(self.doubles, put_back=False), replace(self.push, enabled=False)

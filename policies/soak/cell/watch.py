@@ -17,6 +17,7 @@ from policies.soak.cell.energy import DrivenParts, EnergyMeter, set_control_call
 
 _FALL = 9.81 * CONTROL_PERIOD  # speed that a fall adds within a step [m/s]
 _HEAVY = 0.05  # mass under which a part is pushed in deeper, in inverse proportion: contacts yield so [kg]
+_LIGHTEST = 2.2  # largest factor for that: 4.4 mm is under the middle of every wall
 REST = 5  # steps after the robot's last push from which a part counts as left alone; a contact gives way that long
 
 
@@ -54,7 +55,7 @@ class CellWatch:
         self._softness = 0.35 * simulation.config.contact.solref[0]
         self._since = np.full(simulation.capacity, REST)  # steps since the robot drove each part
         self._deep_for = np.zeros(simulation.capacity, np.int64)  # steps for which each part was pushed in too deep
-        self._lightness = max(1.0, _HEAVY / simulation.part.mass)
+        self._lightness = lightness(simulation.part.mass)
         self._broken: set[str] = set()
         self._episode = "before the first reset"
         self.steps = 0
@@ -152,3 +153,8 @@ class CellWatch:
         if rule not in self._broken:
             self._broken.add(rule)
             self.problems.append(f"{self._episode}, t = {self._simulation.time:.2f} s: {text}")
+
+
+def lightness(mass: float) -> float:
+    """Return how much deeper a part of ``mass`` [kg] may be pushed in than a heavy one."""
+    return float(np.clip(_HEAVY / mass, 1.0, _LIGHTEST))

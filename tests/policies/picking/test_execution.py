@@ -142,7 +142,7 @@ def test_releasing_opens_the_jaw_where_the_arm_is() -> None:
     env = NoteEnv()
     execution(env).release()
     assert len(env.actions) == round(SETTINGS.release_time / 0.04)
-    np.testing.assert_allclose(sent(env), np.tile(np.append(HOME, 0.0), (6, 1)), atol=1e-6)
+    np.testing.assert_allclose(sent(env), np.tile(np.append(HOME, 0.0), (4, 1)), atol=1e-6)
 
 
 def test_retracing_goes_the_same_way_back_with_the_jaw_open() -> None:

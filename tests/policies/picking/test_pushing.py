@@ -69,7 +69,7 @@ def test_a_part_follows_the_fingertips_that_press_on_it(pushing: HandCell) -> No
 
 @pytest.mark.slow
 def test_a_push_that_meets_a_greater_force_is_broken_off(pushing: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
-    careful = PickerSettings(push=PushSettings(press_force=5.0, stop_force=5.0))
+    careful = PickerSettings(push=PushSettings(press_force=5.0, drag_force=4.0, stop_force=6.0))
     monkeypatch.setattr(pushing, "picker", ScriptedPicker(pushing.env, careful))
     pushing.lay(at_wall(pushing))
     pushing.picker.pick()

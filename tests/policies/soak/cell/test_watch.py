@@ -175,7 +175,7 @@ def test_a_push_that_lasts_is_a_problem(simulation: Simulation) -> None:
 
 def test_a_light_part_may_be_pushed_deeper(simulation: Simulation) -> None:
     watch = CellWatch(simulation)
-    watch._lightness = 2.5  # a part of 20 g
+    watch._lightness = lightness(0.025)
     put(simulation, 0, -0.004)
     for _ in range(REST):
         watch._since[:] = 0
@@ -196,3 +196,8 @@ def test_an_observation_outside_of_its_space_or_without_a_number_is_a_problem(si
         "the observation is outside its space",
         "the observation is outside its space",
     ]
+
+
+@pytest.mark.parametrize(("mass", "factor"), [(0.3, 1.0), (0.05, 1.0), (0.04, 1.25), (0.025, 2.0), (0.004, 2.2)])
+def test_light_parts_may_be_pushed_in_deeper_up_to_a_limit(mass: float, factor: float) -> None:
+    assert lightness(mass) == pytest.approx(factor)
