@@ -78,16 +78,15 @@ class ProtectiveStop:
         return self.active is not None
 
     def trips(self) -> bool:
-        """Tell whether the arm pressed too hard in the last physics step; a stop begins then."""
-        if self.active is not None:
-            return False
+        """Tell whether the arm pressed too hard in the last physics step; a stop begins then, unless one holds it."""
         a, b, c, d, e, f = self._torques
         m = self._least
         if -m < a < m and -m < b < m and -m < c < m and -m < d < m and -m < e < m and -m < f < m:
             return False
         presses = self._change @ self._torque <= 0 and np.linalg.norm(self._force()) > self._limit
         if presses:
-            self.active = Stop(against=self._torque.copy(), periods=round(HOLD / CONTROL_PERIOD))
+            periods = round(HOLD / CONTROL_PERIOD) if self.active is None else self.active.periods
+            self.active = Stop(against=self._torque.copy(), periods=periods)
         return bool(presses)
 
     def _force(self) -> Floats:

@@ -171,7 +171,7 @@ class AttemptPlanner:
         T_world_tcp = self._ik.tcp_pose(q_from)
         lift = self._motion.clearing_lift(q_from, tool) + _LIFT_MARGIN
         height = float(T_world_tcp[2, 3]) + lift
-        # As the gripper is now, and as it came out of the bin: on the way it may have turned to where a wall is in its way.
+        # As the gripper is now, and as it came out of the bin: it may have turned to where a wall is in its way.
         turns = [self._ik.tcp_pose(q)[:3, :3] for q in (q_from, q_grasp)]
         for (x, y), R_world_tcp in product(places.world, turns):
             points = tool.points_tcp @ R_world_tcp.T + np.array([x, y, 0.0])

@@ -23,7 +23,7 @@ _CROSS = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
 
 
 def image_of(env: BinPickEnv, rng: np.random.Generator) -> Frame:
-    """Take an image of the bin now, with noise drawn from ``rng``: the environment's last frame and its candidates stay."""
+    """Take an image of the bin, with noise drawn from ``rng``; the environment's last frame and candidates stay."""
     env.simulation.refresh()
     return env.camera.capture(env.simulation.data, rng, env.sensor, env.light).frame
 

@@ -60,8 +60,9 @@ def test_a_stopped_arm_obeys_a_command_that_leads_away_and_no_other(simulation: 
     simulation.step(sideways_and_down, 1.0)
     assert simulation.stopped
     np.testing.assert_array_equal(simulation.target, at)
-    simulation.step(at, 1.0)  # to stay where it is leads nowhere
-    assert simulation.stopped
+    for rounded in (at, at.astype(np.float32), np.nextafter(at.astype(np.float32), np.float32(9))):
+        simulation.step(rounded.astype(np.float64), 1.0)  # to stay where it is leads nowhere
+        assert simulation.stopped
     wait(simulation, 0.4, HOME)
     assert not simulation.stopped
     np.testing.assert_allclose(simulation.joint_positions, HOME, atol=0.005)
@@ -77,6 +78,17 @@ def test_a_stop_that_is_pressed_on_ends_after_a_second_for_another_try(simulatio
     assert waits.max() >= round(HOLD / CONTROL_PERIOD)  # without a motion before it tries again
     assert moved[-1] > 30
     assert simulation.stopped
+
+
+def test_a_stop_in_which_the_arm_still_presses_lasts_no_longer() -> None:
+    simulation = small_simulation(config=CellConfig(robot=RobotConfig(protective_stop=30.0)))
+    while not simulation.stopped:
+        simulation.step(DOWN, 1.0)
+    stopped = []
+    while simulation.stopped and len(stopped) < 60:
+        simulation.step(simulation.target, 1.0)
+        stopped.append(simulation.stopped)
+    assert len(stopped) <= round(HOLD / CONTROL_PERIOD) + 1
 
 
 def test_the_force_is_that_of_the_contacts_on_the_tool(unlimited: Simulation) -> None:

@@ -47,7 +47,7 @@ def test_the_digest_sees_every_setting() -> None:
 def test_the_digests_of_earlier_versions_are_kept() -> None:
     """Golden: folders of earlier runs cannot be resumed if a digest changes.
 
-    The last change was meant: with pushes that keep a force and light parts told from two by an image, bins end otherwise.
+    The last change was meant: pushes keep a force, and an image tells light parts from two.
     """
     assert EvaluationConfig().digest() == "9c8f8943d48a47ab"
     assert EvaluationConfig(picker=PickerSettings().attempts_only()).digest() != EvaluationConfig().digest()

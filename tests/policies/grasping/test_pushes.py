@@ -110,5 +110,18 @@ def test_without_candidates_there_is_no_push(grasps, gripper) -> None:
 
 @pytest.mark.parametrize("name", [field.name for field in fields(PushSettings) if field.name != "enabled"])
 def test_settings_must_be_positive(name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name} must be positive, got 0"):
+    with pytest.raises(ValueError, match=f"{name} must be positive and finite, got 0"):
         PushSettings(**{name: 0.0})
+    with pytest.raises(ValueError, match=f"{name} must be positive and finite, got inf"):
+        PushSettings(**{name: np.inf})
+
+
+def test_speeds_are_shares() -> None:
+    with pytest.raises(ValueError, match=r"press_speed and drag_speed must be at most 1, got 0.02, 5"):
+        PushSettings(drag_speed=5.0)
+
+
+@pytest.mark.parametrize("name", ["press_force", "drag_force"])
+def test_a_push_that_would_always_be_broken_off_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=r"press_force and drag_force must be under stop_force, got .* N"):
+        PushSettings(**{name: 100.0})

@@ -1,6 +1,6 @@
 """One part or more, from made-up readings of the jaw and of the force."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
@@ -119,12 +119,46 @@ def test_a_light_part_is_not_taken_for_two_where_the_sensor_is_poor() -> None:
 def test_a_weight_that_may_be_of_one_part_and_of_two_is_undecided(drift: float, parts: float, undecided: bool) -> None:
     settings = DoubleSettings(force=WristForceNoise(noise=0.0, drift=drift * GRAVITY * MASS))
     check = steady(Hand(), parts * GRAVITY * MASS, settings)
+    check.image_possible = True
     found = check.decide()
     assert check.needs_image is undecided
     assert found is (not undecided and parts > 1.5)  # the image is left to decide
-    without = steady(Hand(), parts * GRAVITY * MASS, replace(settings, image=False))
-    without.decide()
-    assert not without.needs_image
+
+
+@pytest.mark.parametrize(
+    ("settings", "possible"), [({"image": False}, True), ({"weight": False}, True), ({}, False)], ids=str
+)
+def test_where_no_image_is_taken_the_weight_decides(settings: dict[str, bool], possible: bool) -> None:
+    poor = DoubleSettings(force=WristForceNoise(noise=0.0, drift=0.3 * GRAVITY * MASS), **settings)
+    check = steady(Hand(), 1.7 * GRAVITY * MASS, poor)
+    check.image_possible = possible
+    assert check.decide() is poor.weight
+    assert not check.needs_image
+
+
+@pytest.mark.parametrize("parts", [1.3, 2.0])
+def test_where_an_image_shows_the_arm_the_weight_decides(parts: float) -> None:
+    check = steady(Hand(), parts * GRAVITY * MASS)
+    check.decide()
+    assert check.see(None) is (parts == 2.0)
+    assert check.result is not None
+    assert (check.result.gone, check.result.image) == (None, None)
+
+
+@pytest.mark.parametrize(("drift", "told"), [(0.1, True), (0.3, False)])
+def test_a_light_load_that_rests_is_not_told_from_noise(drift: float, told: bool) -> None:
+    """2.5 standard deviations are half the weight of two parts at 0.4 parts of drift, and half of one at 0.2."""
+    settings = DoubleSettings(force=WristForceNoise(noise=0.0, drift=drift * GRAVITY * MASS))
+    check = steady(Hand(), GRAVITY * MASS, settings)
+    check.decide()
+    check._readings.extend([(0.0, 0.1)] * 3)
+    assert check.lightened() is told
+
+
+@pytest.mark.parametrize("wrong", [{"drop": 0.0}, {"second_drop": -0.1}, {"scale": 0.0}, {"scale": 1.1}], ids=str)
+def test_heights_and_speeds_of_a_put_back_are_checked(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=r"drop and second_drop must be positive and scale in \(0, 1\], got"):
+        DoubleSettings(**wrong)
 
 
 @pytest.mark.parametrize(("gone", "double"), [(-0.2, False), (0.49, False), (0.51, True)])

@@ -39,7 +39,7 @@ def frame_of(boxes: Sequence[Box], noise: float = 0.0) -> Frame:
 
 def gone(
     before: Sequence[Box], after: Sequence[Box], noise: float = 0.0, image: Frame | None = None, shift: float = 0.0
-) -> float:
+) -> float | None:
     """Return the area that is gone beside the part at ``TARGET``, whose estimate is off by ``shift`` along x [m^2]."""
     frame = frame_of(before)
     heights = HeightMap.from_frame(frame, WORKSPACE, wall=WALL)
@@ -81,6 +81,12 @@ def test_the_sum_is_zero_for_a_neighbour_that_slid_to_where_the_part_was() -> No
     assert gone([TARGET], [TARGET]) < -0.9 * 0.06 * 0.04
 
 
+@pytest.mark.parametrize(("above_rim", "hidden"), [(0.05, False), (0.07, True)])
+def test_an_image_that_the_arm_hides_tells_nothing(above_rim: float, hidden: bool) -> None:
+    arm = (0.0, 0.0, float(WORKSPACE.inner_size[2]) + above_rim)
+    assert (gone([TARGET, NEIGHBOUR], [arm]) is None) is hidden
+
+
 def test_what_lay_under_the_part_does_not_show() -> None:
     assert gone([TARGET], [(*TARGET[:2], 0.0)]) == 0.0
 
@@ -108,14 +114,16 @@ def test_an_image_shows_the_bin_now_and_leaves_the_frame() -> None:
     env = small_env()
     env.reset(seed=0)
     frame, candidates, number = env.frame, env.candidates, env.frame_id
-    same = image_of(env)
+    rng, state = np.random.default_rng(1), env.np_random.bit_generator.state
+    same = image_of(env, rng)
     np.testing.assert_array_equal(same.T_world_cam, frame.T_world_cam)
     assert np.median(np.abs(same.depth - frame.depth)[frame.depth > 0]) < 0.001
     for part in np.flatnonzero(env.simulation.in_play):
         env.simulation.park(int(part))
-    empty = image_of(env)
+    empty = image_of(env, rng)
     floor = np.median(empty.depth[empty.depth > 0])
     lower = (empty.depth - same.depth > 0.005) & (same.depth > 0)
     assert lower.sum() > 500
     assert np.median(empty.depth[lower]) == pytest.approx(floor, abs=0.003)
     assert (env.frame, env.candidates, env.frame_id) == (frame, candidates, number)
+    assert env.np_random.bit_generator.state == state

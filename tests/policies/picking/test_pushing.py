@@ -65,6 +65,8 @@ def test_a_part_follows_the_fingertips_that_press_on_it(pushing: HandCell) -> No
     moved = pushing.env.simulation.part_centres()[0] - before
     along = float(moved @ push.drag_world) / float(np.linalg.norm(push.drag_world))
     assert along > 0.7 * np.linalg.norm(push.drag_world)
+    pressing = [step.force for step in pushing.log if step.force > 1.0]
+    assert np.median(pressing) == pytest.approx(PushSettings().drag_force, rel=0.5)
 
 
 @pytest.mark.slow

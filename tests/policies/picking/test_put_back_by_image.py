@@ -54,6 +54,8 @@ def test_a_load_that_left_two_places_is_put_back_from_over_the_tray(light_lids: 
     assert check.image
     assert check.gone == pytest.approx(1.5, abs=0.6)
     assert (result.outcome, result.t_sense, result.delivered) == (GraspOutcome.PUT_BACK, 2 * T_SENSE, 0)
+    closed = [step.height for step in light_lids.log if step.action[6] == 1.0]
+    assert closed[-1] < 0.15  # lowered all the way, not dropped from the height of the carry
     env = light_lids.env
     assert (env.events, env.remaining) == ([], 1)
     held = env.simulation.part_centres()[env.simulation.in_play]

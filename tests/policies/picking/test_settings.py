@@ -46,3 +46,16 @@ def test_a_jaw_that_holds_a_thin_plate_does_not_count_as_empty(width: float) -> 
 def test_a_jaw_that_closed_on_nothing_counts_as_empty() -> None:
     position, _ = closed_position(None)
     assert position > gripper_model().control(PickerSettings().empty_gap) + 0.005
+
+
+@pytest.mark.parametrize("name", ["slow_lift", "approach_speed", "carry_scale"])
+@pytest.mark.parametrize("value", [0.0, -0.1, 1.1, float("nan")])
+def test_speeds_are_shares(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=rf"{name} must be in \(0, 1\], got {value}"):
+        PickerSettings(**{name: value})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("wrong", [{"grasps_tried": 0}, {"most_buried": -0.1}, {"standoff": 0.0}], ids=str)
+def test_numbers_and_lengths_are_checked(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=r"grasps_tried must be at least 1, most_buried and release_height at least 0"):
+        PickerSettings(**wrong)  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ from binpick_env.parts import load_part
 from perception.geometry import make_transform, random_rotation
 from policies.soak.cell.depth import DepthGauge
 from policies.soak.cell.energy import DrivenParts, EnergyMeter
-from policies.soak.cell.watch import REST, CellWatch, Limits
+from policies.soak.cell.watch import REST, CellWatch, Limits, lightness
 
 FLOOR = 0.02  # height of the bin's inner floor in the world [m]
 AT = (0.5, 0.0)  # centre of the bin in the world's x and y [m]
