@@ -42,8 +42,8 @@ class DoubleSettings:
         if self.readings < 1:
             raise ValueError(f"readings must be at least 1, got {self.readings}")
         if not (0 < self.drop < np.inf and 0 < self.second_drop < np.inf and 0 < self.scale <= 1):
-            values = self.drop, self.second_drop, self.scale
-            raise ValueError(f"drop and second_drop must be positive and scale in (0, 1], got {values}")
+            given = f"{self.drop}, {self.second_drop} and {self.scale}"
+            raise ValueError(f"drop and second_drop must be positive and scale in (0, 1], got {given}")
         if not (self.jaw_tolerance > 0 and self.deviations >= 0):
             values = self.jaw_tolerance, self.deviations
             raise ValueError(f"jaw_tolerance must be positive and deviations at least 0, got {values}")
