@@ -88,7 +88,7 @@ def largest_d_max(config: BinConfig) -> float:
 def _say_what_fits(source: str, smallest_mm: float, widest_mm: float) -> None:
     if smallest_mm > widest_mm:
         log.warning(
-            "no side of %s is under %g mm (the smallest: %g mm): the jaw cannot grasp it",
+            "no side of %s is under %g mm (the smallest: %g mm): the jaw has little or no room for it",
             source,
             widest_mm,
             smallest_mm,

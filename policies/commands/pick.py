@@ -42,7 +42,7 @@ class Arguments(CellArguments):
     noise_mm: float = 0.0  # error of the oracle's positions, standard deviation per axis [mm]
     noise_deg: float = 0.0  # error of the oracle's rotations, standard deviation [deg]
     push: bool = True  # push a part without a grasp to where one is clear, before a bin is given up
-    put_back: bool = True  # put more than one part in the jaw, found by weight or width, back into the bin
+    put_back: bool = True  # put more than one part in the jaw, found by weight, width or an image, back into the bin
     avoid: bool = True  # pick parts that others seem to lie on only at a second look, and lift them slowly
     fresh: bool = False  # compute all bins again, including those that are there
     out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-SEED) unless given

@@ -58,7 +58,7 @@ def test_a_part_too_wide_for_the_jaw_is_said_once(
     with caplog.at_level(logging.WARNING):
         options.load_part()
         options.load_part()
-    text = f"is under {widest} mm (the smallest: {1000 * side:g} mm): the jaw cannot grasp it"
+    text = f"is under {widest} mm (the smallest: {1000 * side:g} mm): the jaw has little or no room for it"
     assert caplog.text.count(text) == (widest is not None)
     assert caplog.text.count("the jaw") == (widest is not None)
 
