@@ -275,7 +275,7 @@ class ScriptedPicker:
             allowed = [
                 push
                 for push in pushes
-                if self._extra.allows(scene.candidates[push.candidate].centre_world)
+                if self._extra.allows(scene.candidates[push.candidate].centre_world, len(scene.candidates) - 1)
                 and not any(push.resembles(other) for other in self._pushed)
             ]
             planned = self._pusher.plan(allowed, self._pile_height())

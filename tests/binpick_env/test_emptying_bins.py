@@ -16,6 +16,7 @@ PARTS = ("tee", "part_a", "part_b", "part_c", "bracket")
 MODES = ("learned", "gt_masks")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", MODES)
 def test_an_empty_bin_has_no_candidates(mode: str) -> None:
     env = cell(perception=mode)

@@ -146,6 +146,7 @@ def test_the_arms_way_home_is_remembered(env: BinPickEnv) -> None:
     assert env.frame_id == frame_id + 1
 
 
+@pytest.mark.slow
 def test_snapshots_of_another_cell_are_refused(env: BinPickEnv) -> None:
     snapshot = env.snapshot()
     narrow = CellConfig(bin=BinConfig(inner_size=(0.3, 0.2, 0.1)))

@@ -290,6 +290,7 @@ def test_points_are_unique_in_reading_order_and_on_their_pixels(seed: int) -> No
     assert cloud.linearity.max() <= 1.0
 
 
+@pytest.mark.slow
 def test_the_same_frame_gives_the_same_bits_and_is_left_alone() -> None:
     frame, workspace = clutter(7)
     grey, depth = frame.grey.copy(), frame.depth.copy()

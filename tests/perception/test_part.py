@@ -36,6 +36,7 @@ def test_distance_of_a_rotation_to_itself_is_zero(symmetry: Symmetry, seed: int)
     assert symmetry.distance(np.eye(3), np.eye(3)) == 0.0
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(groups, seeds, seeds)
 def test_distance_agrees_with_the_naive_twin(symmetry: Symmetry, seed_a: int, seed_b: int) -> None:

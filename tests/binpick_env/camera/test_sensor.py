@@ -57,6 +57,7 @@ def test_none_is_the_identity() -> None:
     assert rng.random() == np.random.default_rng(0).random()  # nothing was drawn
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("preset", "sigma"), [("good", 0.0003), ("harsh", 0.001)])
 def test_sigma_at_the_reference(preset: str, sigma: float) -> None:
     noise = noise_of(light(preset), plane(0.9))
@@ -90,6 +91,7 @@ def test_nothing_returns_beyond_the_incidence(preset: str, limit_deg: float) -> 
     assert not np.any(measure(sensor, plane(0.9, -np.deg2rad(limit_deg + 9))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("preset", "share"), [("good", 0.02), ("harsh", 0.10)])
 def test_share_of_lost_edge_pixels(preset: str, share: float) -> None:
     sensor = replace(light(preset), baseline=0.0)
@@ -132,6 +134,7 @@ def test_a_surface_turned_away_from_the_projector_is_dark() -> None:
     assert not np.any(measure(replace(QUIET, baseline=0.6), plane(0.9, np.deg2rad(-70)))[:, :-1])
 
 
+@pytest.mark.slow
 def test_shadow_equals_rays_to_the_projector() -> None:
     rng = np.random.default_rng(4)
     depth = np.full((1, 200), 0.9, np.float32)

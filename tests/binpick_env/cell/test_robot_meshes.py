@@ -39,6 +39,7 @@ def world_points(model: mujoco.MjModel, geom: int) -> np.ndarray:
     return vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
 
 
+@pytest.mark.slow
 def test_every_shown_mesh_lies_where_it_lay(original: mujoco.MjModel, coarse: mujoco.MjModel) -> None:
     assert shown(coarse) == shown(original)
     for geom in shown(original):

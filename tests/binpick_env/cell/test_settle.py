@@ -39,6 +39,7 @@ def pile(shared: Simulation) -> Simulation:
     return simulation
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits(shared: Simulation) -> None:
     first = drop(shared, seed=1, count=6)
     other = drop(shared, seed=2, count=6)

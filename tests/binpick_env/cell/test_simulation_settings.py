@@ -140,6 +140,7 @@ SETTINGS["bin.position"] = (*SETTINGS["bin.position"][:2], (0.26, 0.36, *HERE))
 ELSEWHERE = {"robot.max_acceleration", "camera", "calibration"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SETTINGS)
 def test_a_setting_arrives(shared_simulation: Simulation, name: str) -> None:
     value, observe, expected = SETTINGS[name]

@@ -117,6 +117,7 @@ def test_speeds_are_mujocos(simulation: Simulation) -> None:
 # --- faults
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["qpos", "qvel", "xfrc_applied"])
 def test_a_diverged_state_is_an_error(simulation: Simulation, where: str) -> None:
     """MuJoCo used to put the state back to its own start, silently."""

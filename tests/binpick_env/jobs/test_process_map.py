@@ -104,6 +104,7 @@ def test_a_number_of_workers_below_one_is_refused(workers: int) -> None:
 # --- in many ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_workers_run_the_initializer_compute_on_one_core_and_ignore_ctrl_c() -> None:
     results = list(map_indices(circumstances, range(8), 2, remember, ("started",)))
     assert sorted(result[0] for result in results) == list(range(8))
@@ -142,6 +143,7 @@ def lives(pid: int) -> bool:
         return False
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes as Linux lists them")
 def test_workers_do_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "parent.py"

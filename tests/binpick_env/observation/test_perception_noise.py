@@ -59,6 +59,7 @@ def near(share: float, expected: float, n: int) -> bool:
     return abs(share - expected) < 4 * np.sqrt(max(expected * (1 - expected), 1e-3) / n)
 
 
+@pytest.mark.slow
 def test_rates_and_errors_are_the_models() -> None:
     frames = many_frames(model(), 100)
     for each, low in zip(model().bins, (0.0, 0.5), strict=True):
@@ -80,6 +81,7 @@ def test_rates_and_errors_are_the_models() -> None:
     assert 0.1 <= min(scores) <= max(scores) <= 0.3
 
 
+@pytest.mark.slow
 def test_a_fitted_model_gives_back_the_rates_of_its_sample() -> None:
     """Missed, wrong, errors, scores and false ones: drawn again from the fit, within the sampling error of both."""
     sample = many_frames(model(), 60)

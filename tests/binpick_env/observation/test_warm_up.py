@@ -90,6 +90,7 @@ def test_a_small_part_is_as_long_in_the_warm_up_as_one_of_60_mm() -> None:
     assert widths[0] == pytest.approx(widths[1], rel=0.1)
 
 
+@pytest.mark.slow
 def test_only_the_first_perceiver_of_each_mode_warms_up(monkeypatch: pytest.MonkeyPatch) -> None:
     captures: list[LabelledCapture] = []
 

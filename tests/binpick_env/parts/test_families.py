@@ -122,6 +122,7 @@ def test_declared_symmetry_is_all_that_is_detected(family: str, parts: list[Part
         assert min(model.symmetry.distance(np.eye(3), rotation), np.pi) < 0.05
 
 
+@pytest.mark.slow
 def test_the_generator_gives_the_parts_of_its_version() -> None:
     """Golden: one part of each family, to five digits. Where this fails on purpose, raise `VERSION` and renew it."""
     lines = []

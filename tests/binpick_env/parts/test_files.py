@@ -32,6 +32,7 @@ def save(tmp_path: Path, cache: Path) -> Callable[..., Path]:
     return save_mesh
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".STL"])
 @pytest.mark.parametrize("scale", [1.0, 1000.0])
 def test_a_file_gives_the_part_that_was_saved(save: Callable[..., Path], suffix: str, scale: float) -> None:

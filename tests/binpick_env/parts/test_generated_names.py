@@ -81,6 +81,7 @@ def test_wrong_names_are_refused_with_the_families_that_exist() -> None:
         load_part("generated:hex_bolt:0", unit="mm")
 
 
+@pytest.mark.slow
 def test_wrong_numbers_are_refused() -> None:
     with pytest.raises(ValueError, match="index must be at least 0, got -1"):
         GeneratedName(family="hook", index=-1)

@@ -44,6 +44,7 @@ FLUSH = {  # bodies, and the area of their union where it is known [m^2]
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("winding", ["outwards", "inwards"])
 @pytest.mark.parametrize("turn", ["straight", "turned"])
 @pytest.mark.parametrize(("bodies", "area"), FLUSH.values(), ids=FLUSH)
@@ -107,6 +108,7 @@ def test_a_surface_that_touches_itself_along_an_edge_is_one_body(tmp_path: Path)
     assert read_mesh(tmp_path / "part.stl", "m").volume == pytest.approx(7 * 0.02**3, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["stl", "obj"])
 @pytest.mark.parametrize(
     "shift",

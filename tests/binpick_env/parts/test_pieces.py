@@ -152,6 +152,7 @@ def test_a_cut_that_fails_or_misses_a_piece_is_made_again_with_remeshing(
     assert modes == ["off", "auto"]
 
 
+@pytest.mark.slow
 def test_the_pieces_of_a_simplified_mesh_add_little_volume(cache: Path) -> None:
     found = convex_pieces(dumbbell(), PieceSettings(iterations=15, resolution=300))
     covered = trimesh.boolean.union(list(found), engine="manifold").volume
@@ -188,6 +189,7 @@ def test_simplification_states_the_deviation_it_measured() -> None:
     assert 0 < coarse.metadata["deviation"] == hausdorff_distance(mesh, coarse) <= 0.0004
 
 
+@pytest.mark.slow
 def test_simplification_keeps_walls_and_states_when_it_cannot() -> None:
     drilled = [creation.box((0.06, 0.04, 0.001))]
     drilled += [
@@ -207,6 +209,7 @@ def moved(x: float) -> np.ndarray:
     return trimesh.transformations.translation_matrix((x, 0, 0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("program", "message"),
     [

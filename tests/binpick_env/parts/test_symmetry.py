@@ -118,6 +118,7 @@ def gear(teeth: int, *, hub: bool) -> trimesh.Trimesh:
     return trimesh.boolean.union(solids, engine="manifold")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("teeth", "hub", "order"), [(5, True, 5), (8, True, 8), (11, True, 11), (9, False, 18), (24, True, 24)]
 )

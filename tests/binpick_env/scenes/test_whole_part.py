@@ -38,6 +38,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, CameraConfig]]:
     return asked
 
 
+@pytest.mark.slow
 def test_a_block_has_the_pixels_of_its_outlines(tmp_path: Path, cache: Path) -> None:
     sides = np.array([0.08, 0.05, 0.03])
     mesh = trimesh.creation.box(sides)

@@ -19,6 +19,7 @@ def stated(length: float = 0.0, width: float = 0.0, height: float = 0.0) -> np.n
     return scene.INNER + np.array([length, width, height])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boxes", [EMPTY, PILE, HEAP], ids=["empty", "pile", "heap"])
 @pytest.mark.parametrize("near", [True, False])
 @pytest.mark.parametrize("wrong", [-0.08, -0.02])
@@ -127,6 +128,7 @@ def test_the_height_is_named_where_no_floor_is_seen(wrong: float, near: bool, te
     assert f"inner_size height {text}" in cause.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [(0.3, 0.0), (0.0, 0.2), (0.36, 0.26), (0.03, 0.0)])
 @pytest.mark.parametrize("boxes", [PILE, HEAP], ids=["pile", "heap"])
 def test_a_length_or_width_stated_wrong_by_much_is_named(boxes: list[scene.Box], wrong: tuple[float, float]) -> None:

@@ -116,6 +116,7 @@ assert torch.get_num_threads() == 2
 """
 
 
+@pytest.mark.slow
 def test_a_query_of_numbas_threads_leaves_torch_alone() -> None:
     """Numba's start of its threads sets OpenMP's number, which torch shares, to all cores."""
     environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}

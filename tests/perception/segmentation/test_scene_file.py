@@ -149,6 +149,7 @@ def test_a_cut_off_file_is_an_error(tmp_path: Path, kept: float) -> None:
         BoundaryScene.load(path)
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_is_an_error_or_does_no_harm(tmp_path: Path) -> None:
     path = tmp_path / "scene.npz"
     scene = BoundaryScene(**facts())

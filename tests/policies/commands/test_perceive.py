@@ -140,6 +140,7 @@ def test_a_folder_of_results_is_resumed_but_not_mixed(folder: Path) -> None:
     assert "holds poses of another configuration (scale: None there, 0.5 here)" in other.stderr
 
 
+@pytest.mark.slow
 def test_results_of_other_contents_are_not_taken(folder: Path) -> None:
     write_frame(FRAME, folder / "cell.json")
     call = ["cell.json", *IN_BIN, "--out", "found"]

@@ -61,6 +61,7 @@ def test_options_of_grasps_without_a_meaning_are_refused_before_the_part_is_load
     assert error in done.stderr
 
 
+@pytest.mark.slow
 def test_a_recording_holds_all_frames_and_nothing_is_resumed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grasp_finder, "sample_grasps", few_grasps)
     call = ["full.npz", "empty.json", *IN_BIN, "--out", "found", "--grasps"]
@@ -118,6 +119,7 @@ def test_a_missing_extra_is_an_error_that_names_it(folder: Path, monkeypatch: py
     assert "error: a recording needs Rerun: " in done.stderr
 
 
+@pytest.mark.slow
 def test_recordings_are_perceived_one_by_one_or_in_a_folder(folder: Path) -> None:
     make = Messages("mcap")
     height, width = FRAME.depth.shape

@@ -114,6 +114,7 @@ def test_impossible_settings_are_refused(tmp_path: Path, monkeypatch: pytest.Mon
     assert EvaluationConfig(part=str(tmp_path / "block.stl"), perception="oracle").check().model.name == "block"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [0.08, 0.079])
 def test_a_part_that_the_jaw_cannot_hold_is_refused_before_perception_is_prepared(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, side: float

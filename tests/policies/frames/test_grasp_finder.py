@@ -87,6 +87,7 @@ def test_a_wall_of_measurements_beside_a_part_blocks_its_grasps(finder: GraspFin
     assert finder.find(high, BIN, found_poses()) == []
 
 
+@pytest.mark.slow
 def test_the_robot_reaches_what_is_near_its_base(finder: GraspFinder) -> None:
     for base, expected in (((-0.5, 0.0, 0.1), True), ((-3.0, 0.0, 0.1), False)):
         near = GraspFinder(ELL, reach=Reach(in_bin(base), BIN))

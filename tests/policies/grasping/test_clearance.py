@@ -105,6 +105,7 @@ def test_a_blind_frame_closes_the_bin(cell):
     assert np.all(scene.heights == 0.12)
 
 
+@pytest.mark.slow
 def test_the_target_is_taken_out_and_its_neighbours_stay(cell, part, grasps):
     poses = [placed(0, 0, 0.02), placed(0.031, 0.01, 0.02), placed(0.0, 0.0, 0.0601, yaw=1.2)]
     meshes = [part.mesh.copy().apply_transform(T) for T in poses]

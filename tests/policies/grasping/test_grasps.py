@@ -47,6 +47,7 @@ def tube():
     return sample_grasps(tube_model(), FEW)
 
 
+@pytest.mark.slow
 def test_a_block_is_gripped_across_its_sides(block):
     assert len(block) > 100
     sides = np.array([0.03, 0.05])
@@ -65,6 +66,7 @@ def test_at_contact_the_middle_of_the_pads_is_the_middle_of_the_part(block):
     np.testing.assert_allclose(middle[np.abs(closing).max(axis=1) > 0.9999], 0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_sphere_is_gripped_through_its_centre():
     sphere = PartModel.from_mesh("ball", trimesh.creation.icosphere(subdivisions=4, radius=0.02))
     grasps = sample_grasps(sphere, COARSE)
@@ -76,6 +78,7 @@ def test_a_sphere_is_gripped_through_its_centre():
     assert np.abs(beside).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_a_tube_is_gripped_across_its_bore_and_along_its_axis(tube):
     assert np.any(np.abs(tube.width - 0.04) < 1e-3)
     assert np.any(np.abs(tube.width - 0.06) < 1e-3)

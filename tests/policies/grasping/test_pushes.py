@@ -42,6 +42,7 @@ def way_in_bin(push):
     return CELL.T_world_bin[:3, :3].T @ push.drag_world
 
 
+@pytest.mark.slow
 def test_a_block_at_a_wall_is_pressed_on_its_top_and_dragged_to_where_a_grasp_is_clear(grasps, gripper) -> None:
     scene = scene_of(grasps, AT_WALL)
     pushes = find_pushes(scene, grasps, gripper)

@@ -26,6 +26,7 @@ def at_wall(cell: HandCell) -> Floats:
     return cell.flat(0.1308, 0.0742, yaw=np.radians(-19))
 
 
+@pytest.mark.slow
 def test_a_lid_in_a_corner_has_no_grasp(lids: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lids, "picker", ScriptedPicker(lids.env, PickerSettings().attempts_only()))
     lids.lay(at_wall(lids))
@@ -102,3 +103,13 @@ def test_a_part_that_was_moved_twice_is_left_alone(pushing: HandCell, monkeypatc
     pushing.lay(at_wall(pushing))
     assert [pushing.picker.pick().abstention for _ in range(2)] == [Abstention.NO_CLEAR_APPROACH] * 2
     assert pushing.log == []
+
+
+def test_the_parts_in_sight_will_take_decisions_of_which_a_share_may_be_pushes(
+    pushing: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(ExtraDecisions, "allows", lambda _, centre, expected=0: bool(asked.append(expected)))  # noqa: ARG005
+    pushing.lay(at_wall(pushing), pushing.flat(-0.09))
+    assert pushing.picker._plan_push() is None
+    assert set(asked) == {1}

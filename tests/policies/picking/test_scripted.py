@@ -43,6 +43,7 @@ def play(cell: HandCell, seed: int, num_parts: int = SMALL_BIN) -> tuple[BinResu
 # --- recovery --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["tee", *(pytest.param(part, marks=SLOW) for part in CATALOGUE if part != "tee")])
 def test_a_part_laid_flat_in_the_middle_is_delivered_and_parked(part: str) -> None:
     cell = hand_cell(part, 1)
@@ -135,6 +136,7 @@ def test_two_frames_without_a_candidate_end_a_bin(tees: HandCell, monkeypatch: p
 # --- what it must not know -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "error"), [(101, 0.008), pytest.param(102, 0.012, marks=SLOW)])
 def test_the_true_index_of_a_part_changes_nothing(
     tees: HandCell, monkeypatch: pytest.MonkeyPatch, seed: int, error: float
@@ -149,6 +151,7 @@ def test_the_true_index_of_a_part_changes_nothing(
     np.testing.assert_array_equal(actions, named_actions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grease", [pytest.param(False, marks=SLOW), True])
 def test_what_the_jaw_truly_holds_names_the_outcome_and_moves_nothing(
     wheels: HandCell, monkeypatch: pytest.MonkeyPatch, grease: bool

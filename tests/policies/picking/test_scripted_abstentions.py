@@ -59,6 +59,7 @@ def test_a_bin_out_of_reach_is_infeasible() -> None:
     assert cell.picker.rank_stats.clear > 0
 
 
+@pytest.mark.slow
 def test_a_part_that_is_said_to_lie_two_metres_away_is_infeasible(
     tees: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

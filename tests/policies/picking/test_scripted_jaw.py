@@ -64,6 +64,7 @@ def test_an_attempt_opens_no_wider_than_the_jaw(narrow: HandCell, fast: bool, mo
     assert min(openings) < 0.03 < JAW - 0.003 < max(openings) < JAW + 0.001
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("side", "jaw", "text"),
     [

@@ -28,6 +28,7 @@ def first_plan(picker: ScriptedPicker) -> Plan:
     return next(plan for plan in plans if isinstance(plan, Plan))
 
 
+@pytest.mark.slow
 def test_a_pick_is_the_first_plan_executed(cell: HandCell) -> None:
     cell.lay(cell.flat(0.05), cell.flat(-0.08, yaw=0.6))
     plan = first_plan(cell.picker)

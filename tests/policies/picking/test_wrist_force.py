@@ -30,6 +30,7 @@ def hanging() -> HandCell:
     return cell
 
 
+@pytest.mark.slow
 def test_a_hanging_part_weighs_what_it_weighs(hanging: HandCell) -> None:
     simulation = hanging.env.simulation
     weight = GRAVITY * hanging.env.part.mass

@@ -49,6 +49,7 @@ def written(folder: Path, **changes: Any) -> str:
     return (folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_page_has_every_section_and_all_pictures_inside(tmp_path: Path) -> None:
     text = written(tmp_path)
     page = Page(text)
@@ -66,18 +67,21 @@ def test_the_page_has_every_section_and_all_pictures_inside(tmp_path: Path) -> N
     assert "src='http" not in text
 
 
+@pytest.mark.slow
 def test_advice_is_shown_with_its_commands_as_code(tmp_path: Path) -> None:
     text = written(tmp_path, findings=changed("perception", ap=0.4))
     assert "Train the segmentation on the part: <code>binpick train-segmentation --part clip.stl" in text
     assert "Because the AP of general.safetensors (zero-shot) is 40 %" in text
 
 
+@pytest.mark.slow
 def test_names_are_escaped(tmp_path: Path) -> None:
     text = written(tmp_path, findings=changed("part", name="odd <&> name", source="/x/odd <&> name.stl"))
     assert "odd <&> name" not in text
     assert "<h1>Assessment: odd &lt;&amp;&gt; name</h1>" in text
 
 
+@pytest.mark.slow
 def test_what_was_not_run_is_said(tmp_path: Path) -> None:
     findings = replace(FINE, perception=None, picking=None, not_perceived="no rest", not_picked="no grasp")
     run = run_of(tmp_path, findings)
@@ -92,6 +96,7 @@ def test_what_was_not_run_is_said(tmp_path: Path) -> None:
     assert "picks      not run: no grasp" in lines
 
 
+@pytest.mark.slow
 def test_a_dozen_lines_end_with_the_advice(tmp_path: Path) -> None:
     run = run_of(tmp_path, changed("grip", graspable_share=0.2))
     lines = assessment_lines(run.assessment, Path("n.json"))

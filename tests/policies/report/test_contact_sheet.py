@@ -1,6 +1,7 @@
 """Pictures of generated parts: shape, shading and layout of the sheet."""
 
 import numpy as np
+import pytest
 import trimesh
 
 from binpick_env.parts.families import FAMILIES
@@ -24,6 +25,7 @@ def test_portrait_keeps_right_and_up() -> None:
     assert (picture[[20, 40, 40], [15, 15, 45]] < 255).all()
 
 
+@pytest.mark.slow
 def test_sheet_has_a_tile_for_every_family() -> None:
     sheet = family_sheet(0)
     rows = -(-len(FAMILIES) // 9)

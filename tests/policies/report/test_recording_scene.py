@@ -114,6 +114,7 @@ def test_without_parts_one_instance_of_scale_zero_is_drawn() -> None:
     np.testing.assert_array_equal(scales, np.ones((1, 3)))
 
 
+@pytest.mark.slow
 def test_a_truncated_file_is_not_complete(env: WatchedEnv, tmp_path: Path) -> None:
     path = tmp_path / "bin.rrd"
     write(env, path)

@@ -105,6 +105,7 @@ def test_every_option_of_the_cell_is_taken() -> None:
     assert all(own[name].default == cell[name].default for name in cell if name in own)
 
 
+@pytest.mark.slow
 def test_options_of_the_cell_arrive() -> None:
     options: dict[str, Any] = {"density": 1000.0, "symmetry": "none", "bin": (0.3, 0.2, 0.1), "jaw": 0.07}
     options |= {"camera_distance": 0.8, "width": 640, "height": 480, "hand_eye_mm": 5.0, "friction": 0.3}

@@ -156,6 +156,7 @@ def test_without_a_gain_there_is_no_share(tmp_path: Path) -> None:
         compare_selectors({"hindsight": [with_tries(r) for r in own]})
 
 
+@pytest.mark.slow
 def test_hindsights_bins_are_kept_with_their_tries(tmp_path: Path) -> None:
     """Picked in the real cell, and read back from its folder."""
     config = EvaluationConfig(perception="oracle", seed=31, num_parts=(1, 1), bin=(0.3, 0.2, 0.1))

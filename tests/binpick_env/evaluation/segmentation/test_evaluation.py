@@ -60,6 +60,7 @@ def perfect(ids: np.ndarray) -> list[Instance]:
 # --- numbers ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_truth_scores_one_and_nothing_scores_zero(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, config: EvaluationConfig
 ) -> None:
@@ -88,6 +89,7 @@ def test_two_merged_parts_lower_the_ap(
     assert summary_of(config, tmp_path, 3).ap < 0.9
 
 
+@pytest.mark.slow
 def test_each_counted_part_is_in_one_band(tmp_path: Path, config: EvaluationConfig) -> None:
     list(evaluate_scenes(config, 3, tmp_path))
     assert [high for _, high in BANDS[:-1]] == [low for low, _ in BANDS[1:]]
@@ -121,6 +123,7 @@ def test_a_scenes_time_is_the_sum_of_its_stages_after_a_warm_up(config: Evaluati
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_is_resumed_and_damaged_records_are_computed_again(
     tmp_path: Path, config: EvaluationConfig, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -141,6 +144,7 @@ def test_a_run_is_resumed_and_damaged_records_are_computed_again(
     assert record_path(tmp_path, 0).stat().st_mtime_ns > kept
 
 
+@pytest.mark.slow
 def test_the_records_do_not_depend_on_the_workers(
     tmp_path: Path, config: EvaluationConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,6 +183,7 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path, config: EvaluationCo
         replace(record, ms={"total": 1.0})
 
 
+@pytest.mark.slow
 def test_a_folder_of_another_evaluation_is_refused(tmp_path: Path, config: EvaluationConfig, weights: Path) -> None:
     list(evaluate_scenes(config, 1, tmp_path))
     copy = tmp_path / "copy.safetensors"

@@ -25,6 +25,7 @@ def evaluated(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> tuple[
     return folder, config
 
 
+@pytest.mark.slow
 def test_the_numbers_have_the_keys_of_the_contract(evaluated: tuple[Path, EvaluationConfig]) -> None:
     folder, config = evaluated
     values = asdict(summary_of(config, folder, 3))

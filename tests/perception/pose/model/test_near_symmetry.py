@@ -63,6 +63,7 @@ def test_a_registered_motion_lies_better_than_the_rotation_it_began_as() -> None
         assert gap(part, T) < 0.95 * gap(part, make_transform(turn, part.centre - turn @ part.centre))
 
 
+@pytest.mark.slow
 def test_the_most_alike_come_first() -> None:
     part = block(0.08, 0.05, 0.047, cut=0.012)
     gaps = [gap(part, T) for T in near_symmetries(part, surface_model(part), NearSymmetryConfig(most=8, distance=0.1))]

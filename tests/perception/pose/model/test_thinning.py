@@ -107,6 +107,7 @@ def test_far_from_the_origin_the_points_that_stay_are_still_those_of_plain_loops
     assert kept.tolist() == thinning_twin.thin_points(points, tangents, 0.01, 1.0)
 
 
+@pytest.mark.slow
 def test_of_a_large_cloud_no_two_kept_points_are_alike_and_every_other_has_a_kept_one():
     rng = np.random.default_rng(2)
     way = unit(rng.normal(size=(40, 3)))

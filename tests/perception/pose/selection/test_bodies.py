@@ -112,6 +112,7 @@ def test_the_overlap_is_the_same_in_every_frame_and_order(ell: BodyModel, seed: 
     assert ell.overlap(motion @ T, motion @ other, depth) == pytest.approx(found, abs=one)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [ELL, pp.wheel(), pp.wedge()], ids=lambda part: part.name)
 def test_the_overlap_is_that_of_the_distances_to_the_surface(part: PartModel) -> None:
     """The grid may be wrong by a cell; the parts' own origins lie outside of them or in a corner."""

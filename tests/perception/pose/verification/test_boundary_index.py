@@ -13,6 +13,7 @@ MODEL = at.wire_model(ELL)
 LEANING = at.pose_of(ELL, rotation_about((1.0, 0.5, 0.0), 2.5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gate", "depth_gate"), [(0.001, 0.0), (0.01, 0.0), (0.03, 0.0), (0.003, 0.02), (0.01, 0.03)])
 def test_matches_are_those_of_the_twin(gate: float, depth_gate: float) -> None:
     rng = np.random.default_rng(5)

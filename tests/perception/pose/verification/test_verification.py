@@ -239,6 +239,7 @@ def test_the_score_is_the_logistic_of_the_logit() -> None:
 # Kernels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance", [0.0, 0.3, -0.42, -0.6])
 def test_visible_samples_are_those_of_the_twin(distance: float) -> None:
     rng = np.random.default_rng(1)

@@ -102,6 +102,7 @@ def test_a_point_is_explained_from_farther_away_along_the_line_of_sight() -> Non
         assert found.tolist() == [explained], offset
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gate", "depth_gate"), [(0.002, 0.002), (0.01, 0.01), (0.002, 0.008)])
 def test_explained_points_are_those_of_the_twin(gate: float, depth_gate: float) -> None:
     rng = np.random.default_rng(0)

@@ -110,6 +110,7 @@ def test_a_file_without_points_is_an_error(tmp_path: Path, text: str) -> None:
         read(tmp_path, text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damaged", "repaired"),
     [

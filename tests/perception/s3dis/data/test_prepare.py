@@ -24,6 +24,7 @@ def prepare(raw: Path, out: Path) -> dict[str, PreparedRoom]:
     return {room.name: room for room in prepare_rooms(find_raw_rooms(raw), out)}
 
 
+@pytest.mark.slow
 def test_every_room_has_a_file_and_the_folder_a_note(tmp_path: Path) -> None:
     raw, out = write_tree(tmp_path / "raw", TREE), tmp_path / "out"
     done = prepare(raw, out)

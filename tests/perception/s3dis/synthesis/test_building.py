@@ -74,6 +74,7 @@ def test_a_room_is_closed_furnished_and_its_furniture_inside(kind: str) -> None:
             assert points[:, 2].max() <= high[2] + 1e-9, name
 
 
+@pytest.mark.slow
 def test_all_categories_occur_and_all_kinds() -> None:
     rooms = [make_room(SPARSE, k) for k in range(40)]
     assert {item.name.rsplit("_", 1)[0] for room in rooms for item in room} == set(CATEGORIES)

@@ -17,6 +17,7 @@ TWIN = runpy.run_path(str(Path(__file__).parents[3] / "reference" / "grouping_tw
 seeds = st.integers(0, 2**32 - 1)
 
 
+@pytest.mark.slow
 @given(seed=seeds, radius=st.sampled_from([0.001, 0.02, 0.05, 0.1, 0.3, 5.0]), flat=st.booleans())
 @settings(max_examples=40, deadline=None)
 def test_components_equal_their_naive_twin(seed, radius, flat):

@@ -35,6 +35,7 @@ def rng():
     return np.random.default_rng(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leftovers", ["nearest", "none"])
 @pytest.mark.parametrize("mask", [True, False])
 @given(seed=seeds)

@@ -75,6 +75,7 @@ def test_the_compiled_maximum_and_its_gradient_are_torchs() -> None:
         np.testing.assert_array_equal(mine, naive)
 
 
+@pytest.mark.slow
 def test_the_entering_layers_in_training_are_the_plain_ones() -> None:
     torch.manual_seed(0)
     fused = OffsetConv(5, 6).double().train()

@@ -31,6 +31,7 @@ def cloud(dtype: torch.dtype = torch.float64) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(rng.normal(size=(2, 25, 3))).to(dtype), torch.from_numpy(rng.integers(0, 25, (2, 25, 6)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("widths", [(5,), (5, 4), (5, 6, 4)], ids=["one layer", "two", "three"])
 @pytest.mark.parametrize("threads", [1, 2])
 def test_outputs_gradients_and_statistics_are_those_of_the_plain_layers(widths: tuple[int, ...], threads: int) -> None:

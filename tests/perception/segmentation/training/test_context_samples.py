@@ -60,6 +60,7 @@ def test_a_batch_is_the_same_at_every_call() -> None:
         torch.testing.assert_close(one, other, rtol=0, atol=0)
 
 
+@pytest.mark.slow
 def test_the_preset_trains_and_its_loss_falls() -> None:
     torch.set_num_threads(1)
     preset = PRESETS["dgcnn-context"]

@@ -56,6 +56,7 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Use:
     return program
 
 
+@pytest.mark.slow
 def test_a_killed_job_that_writes_whole_files_is_resumed_to_the_same_bits(use: Use, tmp_path: Path) -> None:
     soak = use(WELL)
     result = soak.run("00000-kill-pick", tmp_path)
@@ -64,17 +65,20 @@ def test_a_killed_job_that_writes_whole_files_is_resumed_to_the_same_bits(use: U
     assert not list(tmp_path.glob("work*"))
 
 
+@pytest.mark.slow
 def test_half_written_files_are_found(use: Use, tmp_path: Path) -> None:
     result = use(HALF).run("00000-kill-pick", tmp_path)
     assert any("is not whole" in problem for problem in result.problems)
 
 
+@pytest.mark.slow
 def test_a_job_that_is_not_the_same_twice_is_found(use: Use, tmp_path: Path) -> None:
     result = use(WELL.replace("str(k)", "str(time.time())")).run("00000-kill-pick", tmp_path)
     (problem,) = result.problems
     assert problem.startswith("the resumed job's results differ in 12 places: 0.json: ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mounts", [True, False])
 def test_a_full_disk_is_an_error_message_and_the_job_is_resumed(
     mounts: bool, use: Use, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -87,6 +91,7 @@ def test_a_full_disk_is_an_error_message_and_the_job_is_resumed(
     assert result.counts["disks that were full"] == 1
 
 
+@pytest.mark.slow
 def test_a_traceback_on_a_full_disk_is_found(use: Use, tmp_path: Path) -> None:
     result = use(RAISING).run("00000-disk-pick", tmp_path)
     assert any(problem.startswith("on a full disk: it ended with code 1: OSError") for problem in result.problems)
