@@ -109,7 +109,12 @@ def test_the_parts_in_sight_will_take_decisions_of_which_a_share_may_be_pushes(
     pushing: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[int] = []
-    monkeypatch.setattr(ExtraDecisions, "allows", lambda _, centre, expected=0: bool(asked.append(expected)))  # noqa: ARG005
+
+    def refuse(_: ExtraDecisions, __: Floats, expected: int = 0) -> bool:
+        asked.append(expected)
+        return False
+
+    monkeypatch.setattr(ExtraDecisions, "allows", refuse)
     pushing.lay(at_wall(pushing), pushing.flat(-0.09))
     assert pushing.picker._plan_push() is None
     assert set(asked) == {1}
