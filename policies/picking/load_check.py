@@ -93,6 +93,7 @@ class LoadCheck:
         self._before: tuple[Floats, float] | None = None  # heights of the parts and of the tcp before the lift [m]
         self.result: DoubleCheck | None = None
         self.image_possible = False  # whether an image of the bin can be taken before the load is let go
+        self.looked = False  # whether one was taken
         sensor.tare()
 
     def feel(self) -> None:
@@ -163,6 +164,7 @@ class LoadCheck:
                 does not show the bin: the weight then decides.
         """
         assert self.result is not None
+        self.looked = True
         if gone is None:
             return self.result.weight
         image = gone > self._settings.most_gone

@@ -255,7 +255,7 @@ class ScriptedPicker:
             grasp=plan.grasp,
             part=candidate.part,
             delivered=kinds.count(Delivery.DELIVERED),
-            t_sense=T_SENSE if check.result is None or check.result.image is None else 2 * T_SENSE,
+            t_sense=2 * T_SENSE if check.looked else T_SENSE,
             t_compute=planning,
             t_motion=env.simulation.time - began,
             frame_id=plan.frame_id,

@@ -140,7 +140,9 @@ def test_where_no_image_is_taken_the_weight_decides(settings: dict[str, bool], p
 def test_where_an_image_shows_the_arm_the_weight_decides(parts: float) -> None:
     check = steady(Hand(), parts * GRAVITY * MASS)
     check.decide()
+    assert not check.looked
     assert check.see(None) is (parts == 2.0)
+    assert check.looked  # the time for the image was taken
     assert check.result is not None
     assert (check.result.gone, check.result.image) == (None, None)
 
