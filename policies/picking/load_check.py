@@ -121,7 +121,7 @@ class LoadCheck:
     def lightened(self) -> bool:
         """Whether the last three readings are under half the weight after the lift: the load rests on something.
 
-        Of a load that is light against the sensor's error, they do not tell.
+        They tell nothing where half the load is small against the sensor's error.
         """
         assert self.result is not None
         settings = self._settings

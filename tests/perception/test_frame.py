@@ -296,3 +296,14 @@ def test_a_rounded_pose_and_a_crop_are_accepted() -> None:
     frame(K=camera_matrix(100.0, 6, 4) + np.array([[0, 0, 9.0], [0, 0, -5.0], [0, 0, 0]]))  # beside the image
     frame(K=camera_matrix(100.0, 6, 4) + np.array([[0, 0, 400.0], [0, 0, -300.0], [0, 0, 0]]))  # far beside it
     Workspace(T_world_bin=make_transform(R.round(3)), inner_size=INNER)
+
+
+def test_a_frame_has_a_depth_wherever_it_is() -> None:
+    depth = np.zeros((40, 40), np.float32)
+    K = camera_matrix(100.0, 40, 40)
+    facts: dict[str, Any] = {"K": K, "T_world_cam": np.eye(4)}
+    assert not Frame(depth=depth, **facts).has_depth
+    for row, column in ((16, 32), (17, 3)):  # one of the pixels that are asked first, and one between them
+        one = depth.copy()
+        one[row, column] = 0.9
+        assert Frame(depth=one, **facts).has_depth

@@ -32,6 +32,7 @@ class Scorer:
         self.logits = logits
         self.near = near or {}
         self.asked: list[tuple[str, float]] = []
+        self.estimated = 0
 
     def scored(self, x: float, final: bool) -> ScoredHypothesis:
         (T,) = poses(x)
@@ -55,6 +56,7 @@ class Scorer:
     def estimate(
         self, best: ScoredHypothesis, rivals: Sequence[ScoredHypothesis], drop: float, instance_idx: int
     ) -> PoseEstimate:
+        self.estimated += 1
         return PoseEstimate(
             T_cam_part=best.T_cam_part,
             score=1 / (1 + len(rivals)),
@@ -110,6 +112,21 @@ def test_only_the_finalists_are_refined_fully_and_only_once() -> None:
     for _ in range(2):
         assert best_place(search) == 1.0
         assert scorer.asked[3:] == [("full", 1.0), ("full", 2.0), ("drop", 1.0)]
+
+
+def test_an_estimate_is_made_anew_only_when_a_hypothesis_came_or_went() -> None:
+    scorer = Scorer({0.0: 1.0, 1.0: 3.0, 2.0: 2.0})
+    search = searching(scorer, 0.0, 1.0, 2.0, config=replace(CONFIG, sure=1.0))
+    first = search.best()
+    assert not search.rule_out(lambda T: place(T) > 9)
+    assert search.best() is first
+    assert search.rule_out(lambda T: place(T) == 2.0)
+    fewer = search.best()
+    assert (fewer.score if fewer else 0) == 1 / 2  # one rival is left
+    search.add(poses(4.0))
+    again = search.best()
+    assert (again.score if again else 0) == 1 / 3
+    assert scorer.estimated == 3
 
 
 def test_the_next_best_takes_the_place_of_one_that_is_ruled_out() -> None:

@@ -6,10 +6,11 @@ import pytest
 
 from policies.grasping.outcomes import GraspOutcome
 from policies.picking.extra_decisions import PER_PART
-from policies.picking.load_check import DoubleSettings, LoadCheck
+from policies.picking.load_check import DoubleSettings
 from policies.picking.scripted import T_SENSE, ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import HandCell
+from tests.policies.picking.weighings import weigh_as
 
 pytestmark = pytest.mark.slow
 PUT_BACK = PickerSettings()
@@ -97,14 +98,7 @@ def test_where_no_way_leads_back_the_load_is_let_go_above_the_bin(
 
 def test_a_load_that_is_one_part_after_all_is_delivered(careful: HandCell, monkeypatch: pytest.MonkeyPatch) -> None:
     """A second part that leaned on the first has fallen off when the load is weighed at rest."""
-    answers = iter([True, False])
-    decide = LoadCheck.decide
-
-    def leaned_on(check: LoadCheck) -> bool:
-        decide(check)
-        return next(answers)
-
-    monkeypatch.setattr(LoadCheck, "decide", leaned_on)
+    answers = weigh_as(monkeypatch, True, False)
     careful.lay(careful.flat(), careful.flat(0.1))
     for _ in range(10):
         careful.picker._extra.decided()

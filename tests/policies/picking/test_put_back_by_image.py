@@ -5,10 +5,11 @@ from collections.abc import Iterator
 import pytest
 
 from policies.grasping.outcomes import GraspOutcome, PickResult
-from policies.picking.load_check import DoubleSettings, LoadCheck
+from policies.picking.load_check import DoubleSettings
 from policies.picking.scripted import T_SENSE, ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import HandCell, hand_cell
+from tests.policies.picking.weighings import weigh_as
 
 pytestmark = pytest.mark.slow
 LID_DENSITY = 500.0  # [kg/m^3]: 15 g
@@ -67,14 +68,7 @@ def test_an_image_decides_too_where_the_weight_at_rest_is_undecided(
     light_lids: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The load seemed to be two at the end of the lift, and may be one when it is weighed again."""
-    answers = iter([True, False])
-    decide = LoadCheck.decide
-
-    def unsure(check: LoadCheck) -> bool:
-        decide(check)
-        return next(answers)
-
-    monkeypatch.setattr(LoadCheck, "decide", unsure)
+    answers = weigh_as(monkeypatch, True, False)
     result = pick(light_lids, along=True)
     assert next(answers, None) is None
     assert result.double_check is not None

@@ -13,6 +13,7 @@ from perception.part import PartModel
 from perception.pose.model import _surface_kernels as surface_kernels
 from perception.pose.model.surface_models import surface_model
 from perception.pose.verification import _refine_kernels as kernels
+from perception.pose.verification import _verification_kernels as verification_kernels
 from perception.pose.verification.boundary_index import BoundaryIndex, index_boundary
 from perception.pose.verification.verification import (
     ObservedGroup,
@@ -295,6 +296,23 @@ def test_a_sample_that_is_not_before_the_camera_has_no_gap() -> None:
     found = kernels.surface_gaps(*arguments)
     np.testing.assert_allclose(found, [np.nan, np.nan, np.nan, at.FLOOR - 0.4], rtol=1e-6)
     np.testing.assert_allclose(found, twin.surface_gaps(*arguments), rtol=1e-7)
+
+
+@pytest.mark.parametrize("tolerance", [0.0005, 0.004])
+def test_gaps_are_counted_as_they_are(tolerance: float) -> None:
+    depth = SEEN.depth.copy()
+    depth[85:95] = 0.0
+    T = at.beside(LEANING, ELL, np.random.default_rng(0), 0.004, 0.1)
+    arguments = T, SURFACE.points, SURFACE.normals, SURFACE.visible(T), depth, K, 1
+    gaps = kernels.surface_gaps(*arguments)
+    known = gaps[~np.isnan(gaps)]
+    want = (
+        np.count_nonzero(arguments[3]),
+        len(known),
+        *((np.abs(known) <= tolerance).sum(), (known > tolerance).sum()),
+    )
+    assert verification_kernels.gap_counts(*arguments, tolerance) == want
+    assert 0 < want[3] < want[2] + want[3] < want[1] < want[0], want
 
 
 def test_a_gap_is_positive_where_the_camera_saw_through() -> None:

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from perception.geometry import Floats, make_transform
+from perception.geometry import Floats, make_transform, transform_points
 from perception.pose.model.surface_models import surface_model
 from perception.pose.verification import _verification_kernels as kernels
+from perception.pose.verification._refine_kernels import match_edges
+from perception.pose.verification.boundary_index import index_boundary
 from tests.perception.pose import observed_part as at
 from tests.perception.pose.observed_part import K
 from tests.reference import refine_twin as twin
@@ -74,6 +76,26 @@ def test_occluded_points_are_those_of_the_twin(seed: int) -> None:
         occluded = kernels.occluded_points(*arguments)
         assert occluded.tolist() == twin.occluded_points(*arguments).tolist()
         assert 0.1 < occluded[matches < 0].mean() < 0.95
+
+
+def test_edges_are_counted_as_the_kernels_find_them() -> None:
+    rng = np.random.default_rng(3)
+    T = at.random_pose(ELL, rng)
+    frame = at.look_at(at.placed(ELL, T))
+    seen = transform_points(T, POINTS)[::2]
+    index = index_boundary(seen, (TANGENTS @ T[:3, :3].T)[::2], ELL.d_max)
+    group = index.points_cam[::3].copy(), index.tangents_cam[::3]
+    group[0][::4] += 0.02
+    beside = make_transform(None, (0.001, 0.0, 0.0)) @ T
+    gates, hiding = (0.0015, 0.003, 0.9), (frame.depth, K, 0.001, 2)
+    matches = match_edges(beside, POINTS, TANGENTS, *index.arrays, *gates)
+    occluded = kernels.occluded_points(beside, POINTS, matches, *hiding)
+    explained = kernels.explained_points(beside, POINTS, TANGENTS, *group, *gates)
+    found = kernels.edge_counts(beside, POINTS, TANGENTS, *index.arrays, *gates, *hiding, *group)
+    assert found == ((matches >= 0).sum(), occluded.sum(), explained.sum())
+    assert 0 < found[0] < len(POINTS)
+    assert 0 < found[1] < len(POINTS) - found[0]
+    assert 0 < found[2] < len(group[0])
 
 
 def test_a_point_is_explained_by_a_like_one_near_it() -> None:
