@@ -17,7 +17,6 @@ from binpick_env.camera.shading import Light
 from binpick_env.candidates import MAX_CANDIDATES, pad_candidates
 from binpick_env.cell.delivery import Delivery, DeliveryEvent, DeliveryJudge
 from binpick_env.cell.render import CellRenderer
-from binpick_env.cell.robot import HOME
 from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
 from binpick_env.config import CONTROL_PERIOD, Backend, CameraConfig, CellConfig, SensorPreset
@@ -39,7 +38,6 @@ from perception.runtime.threads import use_threads
 from perception.segmentation.choices import NetworkName
 
 MAX_EPISODE_STEPS = 12_000
-HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home at which the arm is back, or has left [rad]
 
 
 class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], EzPickle):
@@ -68,7 +66,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     | `image`, `depth` | (H, W, 1) uint8 and (H, W, 1) float32 [m] | the last frame, with `obs_mode="rgbd"` only |
 
     A frame is taken at reset, and whenever the arm is back in its home zone, out of the camera's view, after having
-    left it; `info["frame_id"]` rises with each. `env.unwrapped.look()` takes another, with fresh sensor noise.
+    left it; `info["frame_id"]` rises with each. `env.unwrapped.look()` takes another, with fresh sensor noise, and
+    `look(ahead=True)` one in place of that which is due at home.
 
     ## Reward
     +1 for each part delivered: released over the tray, at rest in it, and the only part that entered since the gripper
@@ -294,15 +293,17 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         self._episode = replace(self.episode, steps=self.episode.steps + steps)
         self.simulation.data.time += steps * CONTROL_PERIOD
 
-    def look(self, *, likely: bool = False) -> Observation:
+    def look(self, *, likely: bool = False, ahead: bool = False) -> Observation:
         """Take another frame now, with fresh sensor noise, and return the observation.
 
         Args:
             likely: Whether poses that are likely but not verified become candidates as well. For a picker that found
                 nothing to do in the last frame.
+            ahead: Whether the frame takes the place of the one that is due when the arm is home. For an arm that is on
+                its way there and out of the camera's view.
         """
         frame = self._take_frame(self.episode.reported, self.episode.frame.number + 1, likely=likely)
-        self._episode = replace(self.episode, frame=frame)
+        self._episode = replace(self.episode, frame=frame, ahead=ahead)
         return self._observation()
 
     def snapshot(self) -> Snapshot:
@@ -373,14 +374,10 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         )
 
     def _watch_home(self) -> None:
-        """Take a frame when the arm is back home after having left."""
-        episode = self.episode
-        distance = float(np.max(np.abs(self.simulation.joint_positions - HOME)))
-        if distance > AWAY:
-            self._episode = replace(episode, away=True)
-        elif distance < HOME_ZONE and episode.away:
-            frame = self._take_frame(episode.reported, episode.frame.number + 1)
-            self._episode = replace(episode, away=False, frame=frame)
+        """Take a frame when the arm is back home after having left, unless it was taken on the way."""
+        self._episode, due = self.episode.with_arm_at(self.simulation.joint_positions)
+        if due:
+            self.look()
 
     def _observation(self) -> Observation:
         return observe(self.simulation, self.episode.frame, self._boxes)

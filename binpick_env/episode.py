@@ -1,6 +1,6 @@
 """The state of an episode: what an environment remembers beside its physics, and a snapshot of both."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 from binpick_env.camera.depth_camera import Capture
 from binpick_env.candidates import PoseCandidate
 from binpick_env.cell.delivery import Delivery, DeliveryEvent, JudgeState
+from binpick_env.cell.robot import HOME
 from binpick_env.cell.simulation_state import SimulationSnapshot
 from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
 from perception.frame import Frame
 from perception.geometry import Floats
+
+HOME_ZONE, AWAY = 0.10, 0.25  # largest joint distance from home at which the arm is back, or has left [rad]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,7 +57,8 @@ class EpisodeState:
         frame: Last frame.
         events: How parts left play so far, in order of time.
         steps: Number of control steps so far.
-        away: Whether the arm has left its home zone since the last frame.
+        away: Whether the arm has left its home zone since it was last there.
+        ahead: Whether the last frame was taken on the arm's way home, in place of the one that is due there.
     """
 
     total: int
@@ -63,12 +67,25 @@ class EpisodeState:
     events: tuple[DeliveryEvent, ...] = ()
     steps: int = 0
     away: bool = False
+    ahead: bool = False
     hand_eye_rotation: Floats = field(default_factory=lambda: np.zeros(3))
 
     @property
     def reported(self) -> tuple[Floats, Floats]:
         """Offset [m] and rotation vector [rad] from the camera's true pose to its reported one."""
         return self.hand_eye, self.hand_eye_rotation
+
+    def with_arm_at(self, joint_positions: Floats) -> tuple["EpisodeState", bool]:
+        """Return the state with the arm at (6,) positions [rad], and whether a frame is due.
+
+        It is when the arm is back home after having left, unless it was taken on the way.
+        """
+        distance = float(np.max(np.abs(joint_positions - HOME)))
+        if distance > AWAY:
+            return replace(self, away=True), False
+        if distance < HOME_ZONE and self.away:
+            return replace(self, away=False, ahead=False), not self.ahead
+        return self, False
 
     @property
     def delivered(self) -> int:

@@ -44,6 +44,7 @@ class Arguments(CellArguments):
     push: bool = True  # push a part without a grasp to where one is clear, before a bin is given up
     put_back: bool = True  # put more than one part in the jaw, found by weight, width or an image, back into the bin
     avoid: bool = True  # pick parts that others seem to lie on only at a second look, and lift them slowly
+    look_ahead: bool = True  # take the next frame with the load over the tray, and perceive it while the arm goes home
     fresh: bool = False  # compute all bins again, including those that are there
     out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-SEED) unless given
     json: Path | None = None  # JSON file for the numbers; results.json (or budget.json) in the folder unless given
@@ -60,12 +61,14 @@ class Arguments(CellArguments):
         from binpick_env.observation.oracle import PoseNoise
         from policies.evaluation.config import EvaluationConfig
         from policies.grasping.pushes import PushSettings
+        from policies.picking.execution import ExecutionSettings
         from policies.picking.load_check import DoubleSettings
         from policies.picking.settings import PickerSettings
 
         picker = PickerSettings(
             push=PushSettings(enabled=self.push),
             doubles=DoubleSettings(put_back=self.put_back),
+            execution=ExecutionSettings(look_ahead=self.look_ahead),
             most_buried=PickerSettings.most_buried if self.avoid else 1.0,
         )
         return EvaluationConfig(

@@ -114,7 +114,7 @@ def _counts(records: Sequence[BinRecord]) -> dict[str, list[tuple[float, float]]
     counts: dict[str, list[tuple[float, float]]] = {"gsr": [], "dr": [], "mpph": []}
     for record in records:
         successes = sum(pick.outcome is GraspOutcome.DELIVERED for pick in record.attempts)
-        seconds = sum(pick.t_sense + pick.t_compute + pick.t_motion for pick in record.timed)
+        seconds = sum(pick.seconds for pick in record.timed)
         counts["gsr"].append((successes, len(record.attempts)))
         counts["dr"].append((record.delivered, record.parts_total))
         counts["mpph"].append((3600.0 * successes, seconds))

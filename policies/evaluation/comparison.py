@@ -237,7 +237,7 @@ def _successes(record: BinRecord) -> int:
 
 
 def _seconds(record: BinRecord) -> float:
-    return sum(pick.t_sense + pick.t_compute + pick.t_motion for pick in record.timed)
+    return sum(pick.seconds for pick in record.timed)
 
 
 def _rate_counts(k: int) -> Callable[[BinRecord], Pair]:

@@ -32,6 +32,7 @@ class PickRecord:
         t_sense: Nominal time of the exposure [s].
         t_compute: Wall clock of perception and planning [s].
         t_motion: Simulated time of the motion [s].
+        t_concurrent: Part of ``t_sense`` and ``t_compute`` that passed during the motion of the decision before [s].
         frame_id: Number of the frame that the decision was made on.
         width: Distance between the pads at contact [m]; None for an abstention.
         opening: Distance between the pads during the approach [m]; None for an abstention.
@@ -62,6 +63,12 @@ class PickRecord:
     picture: str = ""
     push: PushOutcome | None = None
     double_check: DoubleCheck | None = None
+    t_concurrent: float = 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Time that the decision took [s]."""
+        return self.t_sense + self.t_compute + self.t_motion - self.t_concurrent
 
     @property
     def ending(self) -> GraspOutcome | Abstention | PushOutcome | None:
@@ -100,6 +107,7 @@ class PickRecord:
             picture=picture,
             push=result.push,
             double_check=result.double_check,
+            t_concurrent=result.t_concurrent,
         )
 
 

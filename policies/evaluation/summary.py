@@ -28,8 +28,8 @@ class Summary:
     Attributes:
         gsr: Grasp success rate: successes / attempts, pooled over the bins.
         dr: Declutter rate: parts delivered / parts settled, pooled.
-        mpph: Mean picks per hour, 3600 q / (t_sense + t_compute + t_motion), means over attempts; the time of pushes is
-            added.
+        mpph: Mean picks per hour, 3600 q / (t_sense + t_compute + t_motion - t_concurrent), means over attempts;
+            the time of pushes is added.
         motion_dph: Deliveries per hour of simulated motion alone, 3600 q / t_motion.
         attempts: Number of executed attempts.
         successes: Number of attempts that delivered exactly one part.
@@ -44,7 +44,8 @@ class Summary:
         doubles: Number of ``lifts`` with a part and of ``doubles`` among them, and what the detectors ``jaw``,
             ``weight`` and ``image``, and ``either`` of them, said: ``detected``, ``missed`` and ``false_alarms``.
             ``lifts`` of ``image`` counts those after which an image was taken.
-        time: Means over attempts [s]: sense (nominal), compute (wall clock, one core), motion (simulated).
+        time: Means over attempts [s]: sense (nominal), compute (wall clock, one core), motion (simulated), and
+            concurrent, the part of sense and compute that passed during the motion of the attempt before.
         wall: Wall clock without listeners such as pictures: mean of an attempt without the drop [s], mean of a bin
             with the drop [s], and the share of the whole in which frames were rendered.
         ap: ScanNet's AP of the segments that poses were searched in, over all frames that decisions were made on; None
@@ -160,17 +161,17 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
         raise ValueError(f"bins {others} are of another configuration")
     attempts = [pick for record in records for pick in record.attempts]
     delivering = np.array([pick.outcome is GraspOutcome.DELIVERED for pick in attempts], dtype=np.float64)
-    times = np.array([(a.t_sense, a.t_compute, a.t_motion) for a in attempts]).reshape(-1, 3)
+    times = np.array([(a.t_sense, a.t_compute, a.t_motion, a.t_concurrent) for a in attempts]).reshape(-1, 4)
     successes, settled = int(delivering.sum()), sum(record.parts_total for record in records)
     delivered = sum(record.delivered for record in records)
     gsr, dr = rate(successes, len(attempts)), rate(delivered, settled)
     bins = [(sum(a.outcome is GraspOutcome.DELIVERED for a in r.attempts), len(r.attempts)) for r in records]
     timed = [pick for record in records for pick in record.timed]
-    spent = np.array([(a.t_sense, a.t_compute, a.t_motion) for a in timed]).reshape(-1, 3)
+    spent = np.array([(a.seconds, a.t_motion) for a in timed]).reshape(-1, 2)
     counted = np.array([pick.outcome is GraspOutcome.DELIVERED for pick in timed], dtype=np.float64)
     pushes = [pick.push for pick in timed if pick.push is not None]
-    mpph, mpph_interval = _per_hour(counted, spent.sum(axis=1), rng)
-    motion_dph, motion_interval = _per_hour(counted, spent[:, 2], rng)
+    mpph, mpph_interval = _per_hour(counted, spent[:, 0], rng)
+    motion_dph, motion_interval = _per_hour(counted, spent[:, 1], rng)
     gsr_bins = over_bins(bins, rng)
     dr_bins = over_bins([(record.delivered, record.parts_total) for record in records], rng)
     perception = summarise_frames(records, rng)
@@ -189,7 +190,7 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
         outcomes=_count(GraspOutcome, [pick.outcome for pick in attempts]),
         pushes=_count(PushOutcome, pushes),
         doubles=summarise_doubles(pick.double_check for pick in attempts if pick.double_check is not None),
-        time={name: _mean(times[:, k]) for k, name in enumerate(("sense", "compute", "motion"))},
+        time={name: _mean(times[:, k]) for k, name in enumerate(("sense", "compute", "motion", "concurrent"))},
         wall=_wall(records, len(attempts)),
         ap=perception.ap["ap"],
         ap50=perception.ap["ap50"],

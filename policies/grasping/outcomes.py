@@ -121,6 +121,7 @@ class PickResult:
         t_sense: Nominal exposure time [s].
         t_compute: Wall clock of perception and planning [s].
         t_motion: Simulated time of the motion [s].
+        t_concurrent: Part of ``t_sense`` and ``t_compute`` that passed during the motion of the decision before [s].
         frame_id: Number of the frame that the decision was made on.
         double_check: What was measured of the load after the lift; None if nothing was lifted.
     """
@@ -134,6 +135,7 @@ class PickResult:
     t_sense: float = 0.0
     t_compute: float = 0.0
     t_motion: float = 0.0
+    t_concurrent: float = 0.0
     frame_id: int = -1
     double_check: DoubleCheck | None = None
 

@@ -25,6 +25,8 @@ class ExecutionSettings:
     close_time: float = 0.6  # longest wait for the closing jaw to come to rest
     release_time: float = 0.16  # time in which the jaw opens before the arm leaves
     settle_time: float = 1.5  # longest wait for the released part to be judged
+    # whether the next frame is taken when the load is over the tray, so that it is perceived while the arm goes home
+    look_ahead: bool = True
 
 
 class Execution:
@@ -39,6 +41,7 @@ class Execution:
         self._commanded: list[Floats] = []  # (6,) joint targets so far, for the way back [rad]
         self._collided = self._put_back = False
         self.double = False  # whether the carry ended because more than one part was found in the jaw
+        self.looked_ahead = False  # whether the next frame was taken with the load over the tray
         self._held: dict[str, bool] = {}  # whether both pads touched a part when closed, lifted and carried
 
     def follow(self, trajectory: Trajectory, gripper: float, *, guard: bool = False) -> bool:
@@ -129,6 +132,15 @@ class Execution:
                 break
             last = simulation.gripper_position
         self._held["closed"] = bool(simulation.gripped())
+
+    def look_ahead(self, frame_id: int) -> None:
+        """Take the frame after ``frame_id`` with the load over the tray, unless it is there or is to be taken at home.
+
+        A carry that ends at home has led to the frame that is taken there.
+        """
+        if self._settings.look_ahead and self._env.frame_id == frame_id and not self._env.truncated:
+            self._env.look(ahead=True)
+            self.looked_ahead = True
 
     def release(self) -> None:
         """Open the jaw."""

@@ -67,6 +67,9 @@ class FastExecution(Execution):
         self._motion.place(HOME, HOME, 0.0)
         return True
 
+    def look_ahead(self, frame_id: int) -> None:
+        """Take no frame; it is taken when the pile is asleep."""
+
     def await_judgement(self) -> None:
         """Wait until every part is judged and the pile is asleep, then take the next frame."""
         super().await_judgement()

@@ -54,9 +54,10 @@ def gone_beside(
         raise ValueError(f"the image must be by the camera of the scene's frame, got images of {sizes}")
     before = scene.heights
     unmoved = replace(image, T_world_cam=scene.frame.T_world_cam)
-    after = HeightMap.from_frame(unmoved, scene.workspace, cell=before.cell, wall=wall).measured
-    if _area(after > before.rim + _FAR_ABOVE) * before.cell**2 > _HIDDEN:
+    heights = HeightMap.from_frame(unmoved, scene.workspace, cell=before.cell, wall=wall)
+    if _hides_bin(heights):
         return None
+    after = heights.measured
     surface = before.rasterise(surface_part, T_world_part)
     outline = np.isfinite(surface)
     seen = np.isfinite(before.measured) & np.isfinite(after)
@@ -68,12 +69,27 @@ def gone_beside(
     return before.cell**2 * (_area(others & (rise < -_STEP)) - _area(higher))
 
 
+def arm_in_view(env: BinPickEnv, cell: float) -> bool:
+    """Return whether the arm or its load hides a part of the bin in the environment's last frame.
+
+    Args:
+        env: The unwrapped cell.
+        cell: Edge length of a cell of the height map [m].
+    """
+    return _hides_bin(HeightMap.from_frame(env.frame, env.workspace, cell=cell, wall=env.config.bin.wall))
+
+
 def mean_silhouette(part: PartModel) -> float:
     """Return the area of the silhouette of a part's convex hull [m^2], as a mean over all directions.
 
     It is a quarter of the hull's surface (Cauchy).
     """
     return float(part.mesh.convex_hull.area) / 4
+
+
+def _hides_bin(heights: HeightMap) -> bool:
+    """Return whether something is far above the bin, which can only be the arm with its load."""
+    return bool(_area(heights.measured > heights.rim + _FAR_ABOVE) * heights.cell**2 > _HIDDEN)
 
 
 def _difference(first: Floats, second: Floats, known: NDArray[np.bool_]) -> Floats:

@@ -28,7 +28,7 @@ from policies.picking.attempt_planner import AttemptPlanner, DropPlaces, Press
 from policies.picking.execution import Execution, ExecutionSettings
 from policies.picking.extra_decisions import PER_PART, ExtraDecisions
 from policies.picking.load_check import LoadCheck
-from policies.picking.load_image import gone_beside, image_of, mean_silhouette
+from policies.picking.load_image import arm_in_view, gone_beside, image_of, mean_silhouette
 from policies.picking.pusher import Pusher
 from policies.picking.settings import PickerSettings
 
@@ -114,8 +114,7 @@ class ScriptedPicker:
         d_max = self._env.part.model.d_max
         self.failed = FailedGrasps(radius=d_max / 4)
         self._extra = ExtraDecisions(radius=d_max / 2)
-        seed = max(self._env.np_random_seed, 0)  # -1 where the generator was given
-        self._rng = np.random.default_rng([seed, _WRIST_STREAM])
+        self._rng = np.random.default_rng([max(self._env.np_random_seed, 0), _WRIST_STREAM])  # -1: a given generator
         self._wrist = WristForceSensor(self._env.simulation, self.settings.doubles.force, self._rng)
         self._pushed: list[Push] = []  # pushes in this bin
         self._refused: ObservedScene | None = None  # scene of the last decision if it was an abstention
@@ -128,6 +127,7 @@ class ScriptedPicker:
         if not self._warm:  # a first decision compiles kernels, which is no part of a decision's time
             self._decide()
             self._warm, self._last_scene = True, None
+        waited = self._env.simulation.time - self._env.episode.frame.time
         started = time.perf_counter()
         plan = self._decide()
         gives_up = isinstance(plan, Abstention) and self._refused is not None and self.settings.push.enabled
@@ -141,7 +141,7 @@ class ScriptedPicker:
         else:
             result = self.execute(plan)
         self._extra.decided()
-        return replace(result, t_compute=compute + result.t_compute)
+        return replace(result, t_compute=compute + result.t_compute, t_concurrent=min(T_SENSE + compute, waited))
 
     # --- decision --------------------------------------------------------------------------------------------------
 
@@ -157,8 +157,7 @@ class ScriptedPicker:
             if isinstance(plan, Plan):
                 return plan
             reasons.add(plan)
-        unreached = reasons == {Abstention.IK_INFEASIBLE}
-        return Abstention.IK_INFEASIBLE if unreached else Abstention.NO_CLEAR_APPROACH
+        return Abstention.IK_INFEASIBLE if reasons == {Abstention.IK_INFEASIBLE} else Abstention.NO_CLEAR_APPROACH
 
     def _obstructed(self, grasp: GraspCandidate) -> bool:
         """Return whether other parts seem to lie on the target; they would come along."""
@@ -245,6 +244,8 @@ class ScriptedPicker:
         may_put_back = settings.put_back and self._extra.allows(candidate.centre_world, len(env.candidates) - 1)
         planning = self._move(plan, execution, candidate.T_world_part, check, may_put_back)
         execution.await_judgement()
+        if execution.looked_ahead and arm_in_view(env, self.settings.rank.cell):
+            env.look()
         # A part that was out of the bin already, and came to rest only now, belongs to an earlier attempt.
         kinds = [event.kind for event in env.events[events_before:] if event.part not in strays]
         outcome = execution.outcome(kinds)
@@ -290,7 +291,6 @@ class ScriptedPicker:
         began, frame_id = env.simulation.time, env.frame_id
         execution = self._execution(env, self.settings.execution)
         outcome, planning = self._pusher.execute(push, press, execution, self._go_home)
-        motion = env.simulation.time - began
         self._extra.moved(candidate.centre_world, candidate.centre_world + push.drag_world)
         self._pushed.append(push)
         if outcome is not PushOutcome.LEFT_BIN and isinstance(self._decide(), Plan):
@@ -300,7 +300,7 @@ class ScriptedPicker:
             part=candidate.part,
             t_sense=T_SENSE,
             t_compute=planning,
-            t_motion=motion,
+            t_motion=env.simulation.time - began,
             frame_id=frame_id,
         )
 
@@ -344,6 +344,7 @@ class ScriptedPicker:
         double, planning = self._more_is_gone(T_world_part, check)
         if double:
             return planning + self._put_back(plan, execution, T_world_part, check)
+        execution.look_ahead(plan.frame_id)
         execution.release()
         return planning
 
@@ -381,8 +382,7 @@ class ScriptedPicker:
         execution.follow(way.across, 1.0)
         execution.put_down(way.down, check)
         self._extra.put_back(centre, way.place_world)
-        d_max = self._env.part.model.d_max
-        self.failed.add(way.place_world, plan.grasp.T_world_grasp, radius=d_max)
+        self.failed.add(way.place_world, plan.grasp.T_world_grasp, radius=self._env.part.model.d_max)
         return planning
 
     def _go_home(self, execution: Execution) -> float:

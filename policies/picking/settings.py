@@ -41,6 +41,9 @@ class PickerSettings:
             )
 
     def attempts_only(self) -> "PickerSettings":
-        """Return the settings without pushes and put-backs, for a policy that chooses attempts and learns from them."""
+        """Return the settings for a policy that chooses attempts and learns from them.
+
+        They have no pushes and no put-backs, and each frame is taken when the attempt before is over.
+        """
         doubles, push = replace(self.doubles, put_back=False), replace(self.push, enabled=False)
-        return replace(self, doubles=doubles, push=push)
+        return replace(self, doubles=doubles, push=push, execution=replace(self.execution, look_ahead=False))

@@ -32,6 +32,7 @@ COLUMNS = (
     "segment_iou",
     "picture",
     "push",
+    "t_concurrent_s",
 )
 
 
@@ -78,6 +79,7 @@ def _cells(record: BinRecord, number: int, pick: PickRecord) -> list[object]:
         None if seen is None else seen.overlap,
         pick.picture or None,
         pick.push,
+        pick.t_concurrent,
     ]
 
 

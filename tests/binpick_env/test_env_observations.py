@@ -13,7 +13,8 @@ from binpick_env.camera.sensor import SensorModel
 from binpick_env.candidates import FEATURES, MAX_CANDIDATES
 from binpick_env.cell.robot import HOME
 from binpick_env.config import BinConfig, CameraConfig, CellConfig
-from binpick_env.env import AWAY, HOME_ZONE, BinPickEnv
+from binpick_env.env import BinPickEnv
+from binpick_env.episode import AWAY, HOME_ZONE
 from perception.geometry import rotation_from_6d
 from tests.binpick_env.small_cell import CAMERA, REST, act, centred, random_actions, small_env
 
