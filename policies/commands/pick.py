@@ -44,6 +44,8 @@ class Arguments(CellArguments):
     push: bool = True  # push a part without a grasp to where one is clear, before a bin is given up
     put_back: bool = True  # put more than one part in the jaw, found by weight, width or an image, back into the bin
     avoid: bool = True  # pick parts that others seem to lie on only at a second look, and lift them slowly
+    max_tilt_deg: float = 50.0  # largest angle between a grasp's approach and the vertical [deg]
+    ik_restarts: int = 8  # number of postures that inverse kinematics starts from beside the present one
     look_ahead: bool = True  # take the next frame with the load over the tray, and perceive it while the arm goes home
     fresh: bool = False  # compute all bins again, including those that are there
     out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-SEED) unless given
@@ -60,12 +62,16 @@ class Arguments(CellArguments):
         """Return what the numbers depend on."""
         from binpick_env.observation.oracle import PoseNoise
         from policies.evaluation.config import EvaluationConfig
+        from policies.grasping.clearance import RankSettings
         from policies.grasping.pushes import PushSettings
+        from policies.motion.ik_settings import IkSettings
         from policies.picking.execution import ExecutionSettings
         from policies.picking.load_check import DoubleSettings
         from policies.picking.settings import PickerSettings
 
         picker = PickerSettings(
+            rank=RankSettings(max_tilt=radians(self.max_tilt_deg)),
+            ik=IkSettings(restarts=self.ik_restarts),
             push=PushSettings(enabled=self.push),
             doubles=DoubleSettings(put_back=self.put_back),
             execution=ExecutionSettings(look_ahead=self.look_ahead),

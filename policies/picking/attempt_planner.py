@@ -80,7 +80,7 @@ class AttemptPlanner:
         """
         self._config, self._gripper, self._settings = config, gripper, settings
         self._scene = PlanningScene(config)
-        self._ik = IkSolver(self._scene)
+        self._ik = IkSolver(self._scene, settings.ik)
         self._motion = MotionPlanner(self._scene, self._ik)
         self._outline = _farthest_points(np.asarray(part.mesh.vertices), _OUTLINE_POINTS)
 

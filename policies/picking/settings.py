@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 from policies.grasping.clearance import RankSettings
 from policies.grasping.pushes import PushSettings
+from policies.motion.ik_settings import IkSettings
 from policies.picking.execution import ExecutionSettings
 from policies.picking.load_check import DoubleSettings
 
@@ -16,6 +17,7 @@ class PickerSettings:
     execution: ExecutionSettings = field(default_factory=ExecutionSettings)  # times and forces of an attempt
     doubles: DoubleSettings = field(default_factory=DoubleSettings)  # more than one part in the jaw
     push: PushSettings = field(default_factory=PushSettings)  # pushes of parts without a grasp
+    ik: IkSettings = field(default_factory=IkSettings)  # how long postures are searched for
     grasps_tried: int = 40  # largest number of grasps, best first, that a decision plans for before it abstains
     # share of a part's outline under higher measurements beyond which it is picked only at a second look: what lies on
     # it comes along

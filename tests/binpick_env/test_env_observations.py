@@ -174,6 +174,17 @@ def test_a_frame_is_taken_when_the_arm_comes_home(env: BinPickEnv) -> None:
     assert np.abs(steps[taken - 1][0]["joint_pos"] - HOME).max() > HOME_ZONE
 
 
+def test_a_frame_taken_ahead_stands_for_the_next_one_at_home(env: BinPickEnv) -> None:
+    act(env, 0.8, away(-1.0))
+    taken = env.simulation.time
+    env.look(ahead=True)
+    observation, *_, info = act(env, 1.2)[-1]
+    assert (info["frame_id"], env.episode.frame.time) == (1, taken)
+    assert observation["frame_age"][0] == pytest.approx(1.2, abs=1e-4)
+    act(env, 0.8, away(-1.0))
+    assert act(env, 1.2)[-1][4]["frame_id"] == 2  # the one after is taken at home again
+
+
 @pytest.mark.parametrize("distance", [HOME_ZONE + 0.05, AWAY - 0.02])
 def test_a_short_excursion_takes_no_frame(env: BinPickEnv, distance: float) -> None:
     for _ in range(2):

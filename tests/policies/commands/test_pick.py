@@ -4,6 +4,7 @@ import shlex
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -195,8 +196,18 @@ def test_pushes_and_put_backs_are_on_unless_they_are_switched_off() -> None:
     both, neither = pick.Arguments().config().picker, pick.Arguments(push=False, put_back=False).config().picker
     assert both == PickerSettings()
     assert (both.push.enabled, both.doubles.put_back) == (True, True)
-    assert neither == PickerSettings().attempts_only()
     assert (neither.push.enabled, neither.doubles.put_back) == (False, False)
+
+
+def test_frames_are_taken_ahead_unless_that_is_switched_off() -> None:
+    neither = pick.Arguments(push=False, put_back=False, look_ahead=False).config().picker
+    assert pick.Arguments().config().picker.execution.look_ahead
+    assert neither == PickerSettings().attempts_only()
+
+
+def test_tilt_and_restarts_of_inverse_kinematics_arrive() -> None:
+    picker = pick.Arguments(max_tilt_deg=90.0, ik_restarts=0).config().picker
+    assert (picker.rank.max_tilt, picker.ik.restarts) == (pytest.approx(np.pi / 2), 0)
 
 
 def test_parts_that_others_lie_on_are_avoided_unless_that_is_switched_off() -> None:

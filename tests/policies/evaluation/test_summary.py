@@ -60,11 +60,21 @@ def test_rates_are_pooled_over_the_bins(records: list[BinRecord]) -> None:
 def test_picks_per_hour_follow_from_the_means_over_attempts(records: list[BinRecord]) -> None:
     summary = summary_of(records)
     motion = (3 * 5.25 + 2.0) / 4
-    assert summary.time == pytest.approx({"sense": 0.5, "compute": 0.25, "motion": motion})
+    assert summary.time == pytest.approx({"sense": 0.5, "compute": 0.25, "motion": motion, "concurrent": 0.0})
     assert summary.mpph == pytest.approx(3600 * 0.75 / (0.75 + motion))
     assert summary.motion_dph == pytest.approx(3600 * 0.75 / motion)
     low, high = summary.intervals["mpph"] or (np.nan, np.nan)
     assert low < summary.mpph < high
+
+
+def test_time_that_passes_during_the_motion_before_counts_once(records: list[BinRecord]) -> None:
+    early = [replace(r, picks=tuple(replace(p, t_concurrent=0.5) for p in r.picks)) for r in records]
+    before, after = summary_of(records), summary_of(early)
+    assert after.time == before.time | {"concurrent": 0.5}
+    assert before.mpph is not None
+    assert after.mpph is not None
+    assert 3600 * 0.75 / after.mpph == pytest.approx(3600 * 0.75 / before.mpph - 0.5)
+    assert after.motion_dph == before.motion_dph
 
 
 def test_the_time_of_pushes_counts_and_they_are_no_attempts(records: list[BinRecord]) -> None:

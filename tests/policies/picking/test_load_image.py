@@ -13,7 +13,7 @@ from perception.geometry import camera_matrix, make_transform
 from perception.part import PartModel
 from policies.grasping.heightmap import HeightMap
 from policies.grasping.observed_scene import ObservedScene
-from policies.picking.load_image import gone_beside, image_of, mean_silhouette
+from policies.picking.load_image import arm_in_view, gone_beside, image_of, mean_silhouette
 from tests.binpick_env.small_cell import small_env
 
 WORKSPACE = Workspace(T_world_bin=make_transform(translation=(0.5, 0.1, 0.02)), inner_size=np.array([0.3, 0.2, 0.1]))
@@ -127,3 +127,12 @@ def test_an_image_shows_the_bin_now_and_leaves_the_frame() -> None:
     assert np.median(empty.depth[lower]) == pytest.approx(floor, abs=0.003)
     assert (env.frame, env.candidates, env.frame_id) == (frame, candidates, number)
     assert env.np_random.bit_generator.state == state
+
+
+@pytest.mark.parametrize(("height", "in_view"), [(0.03, False), (0.4, True)])
+def test_what_is_far_above_the_bin_is_the_arm(height: float, in_view: bool) -> None:
+    env = small_env()
+    env.reset(seed=0)
+    env.simulation.place(0, env.workspace.T_world_bin @ make_transform(translation=(0.0, 0.0, height)))
+    env.look()
+    assert arm_in_view(env, 0.002) is in_view

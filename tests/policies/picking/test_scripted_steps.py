@@ -12,8 +12,11 @@ from perception.geometry import make_transform, rotation_about
 from policies.grasping.failed_grasps import FailedGrasps
 from policies.grasping.grasps import flip
 from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome
+from policies.motion.ik_settings import IkSettings
 from policies.motion.planner import StraightLegs, Tool
+from policies.picking.attempt_planner import AttemptPlanner
 from policies.picking.scripted import Plan, ScriptedPicker
+from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import SMALL_IMAGE, HandCell
 
 
@@ -141,3 +144,10 @@ def test_a_part_is_known_by_where_its_centre_is(distance: float, suspect: bool) 
     failed = FailedGrasps(radius=0.02)
     failed.add(np.zeros(3), np.eye(4))
     assert failed.suspect(np.array([0.0, distance, 0.0])) is suspect
+
+
+def test_postures_are_searched_as_the_settings_say(cell: HandCell) -> None:
+    settings = PickerSettings(ik=IkSettings(restarts=0))
+    planner = AttemptPlanner(cell.env.config, cell.env.part.model, cell.picker.gripper, settings)
+    assert planner._ik.settings.restarts == 0
+    assert cell.picker._planner._ik.settings.restarts == 8

@@ -67,7 +67,7 @@ def numbers(record: BinRecord) -> dict[str, Any]:
     """Return everything in a record except for wall clock."""
     values = dataclasses.asdict(dataclasses.replace(record, wall=0.0, settle=0.0, render=0.0))
     for pick in values["picks"]:
-        pick["t_compute"] = 0.0
+        pick["t_compute"] = pick["t_concurrent"] = 0.0
     return values
 
 
