@@ -1,0 +1,75 @@
+"""The frame that is taken with the load over the tray, and the time that it saves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from binpick_env.cell.robot import HOME
+from binpick_env.env import BinPickEnv
+from policies.grasping.outcomes import GraspOutcome, PickResult
+from policies.picking import scripted
+from policies.picking.execution import ExecutionSettings
+from policies.picking.scripted import T_SENSE, ScriptedPicker
+from policies.picking.settings import PickerSettings
+from tests.policies.hand_cell import SMALL_IMAGE, HandCell
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def env() -> BinPickEnv:
+    return BinPickEnv("tee", num_parts=(1, 2), perception="oracle", threads=1, camera=SMALL_IMAGE)
+
+
+def two_picks(env: BinPickEnv, settings: PickerSettings | None = None) -> tuple[HandCell, list[PickResult], float]:
+    """Pick two parts that lie apart; return the cell, the results, and the age of the frame between them [s]."""
+    cell = HandCell(env, ScriptedPicker(env, settings))
+    cell.lay(cell.flat(0.05), cell.flat(-0.08, yaw=0.6))
+    results = [cell.picker.pick()]
+    age = env.simulation.time - env.episode.frame.time
+    return cell, [*results, cell.picker.pick()], age
+
+
+def test_the_next_frame_is_taken_with_the_load_over_the_tray(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    real = BinPickEnv.look
+
+    def look(env: BinPickEnv, **options: bool) -> object:
+        simulation = env.simulation
+        if options.get("ahead"):
+            seen.append((bool(simulation.gripped()), float(np.abs(simulation.joint_positions - HOME).max())))
+        return real(env, **options)
+
+    monkeypatch.setattr(BinPickEnv, "look", look)
+    _, (first, second), age = two_picks(env)
+    assert first.outcome is second.outcome is GraspOutcome.DELIVERED
+    assert second.frame_id == first.frame_id + 1  # no other frame is taken at home
+    assert seen[0][0]
+    assert seen[0][1] > 0.25
+    assert 0.3 < age < first.t_motion
+
+
+def test_what_is_computed_while_the_arm_moves_is_told(env: BinPickEnv) -> None:
+    _, (first, second), age = two_picks(env)
+    assert first.t_concurrent == 0.0
+    assert T_SENSE < second.t_concurrent <= min(age, second.t_sense + second.t_compute)
+
+
+def test_without_looking_ahead_frames_are_taken_at_home(env: BinPickEnv) -> None:
+    settings = replace(PickerSettings(), execution=ExecutionSettings(look_ahead=False))
+    _, (first, second), age = two_picks(env, settings)
+    assert first.outcome is second.outcome is GraspOutcome.DELIVERED
+    assert second.frame_id == first.frame_id + 1
+    assert second.t_concurrent == pytest.approx(age, abs=1e-9)
+    assert age < 0.3  # the wait for the judgement, at home
+
+
+def test_a_frame_with_the_arm_in_view_is_taken_again_at_home(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scripted, "arm_in_view", lambda *_: True)
+    _, (first, second), age = two_picks(env)
+    assert (second.frame_id, age, second.t_concurrent) == (first.frame_id + 2, 0.0, 0.0)
+
+
+def test_policies_that_learn_from_attempts_take_frames_after_them() -> None:
+    assert not PickerSettings().attempts_only().execution.look_ahead
