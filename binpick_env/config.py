@@ -17,6 +17,8 @@ SensorPreset = Literal["none", "good", "harsh", "stereo", "tof"]
 SensorChoice = SensorPreset | Literal["mixed", "all"]  # mixed, all: a preset drawn for each scene
 AppearanceChoice = Literal["clean", "varied"]  # varied: an appearance drawn for each scene
 Perception = Literal["oracle", "gt_masks", "learned"]  # what finds the parts in a frame
+PAYLOAD = 5.0  # largest mass that a UR5e may carry, the gripper included [kg]: its data sheet
+GRIPPER_MASS = 0.925  # mass of the 2F-85 [kg]: its data sheet
 GRIPPER_STROKE = 0.085  # largest distance between the 2F-85's pads [m]: its data sheet
 
 

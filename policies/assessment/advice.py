@@ -2,11 +2,11 @@
 
 import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import ceil, floor, isfinite
 from typing import Literal
 
-from binpick_env.config import GRIPPER_STROKE
+from binpick_env.config import GRIPPER_MASS, GRIPPER_STROKE, PAYLOAD
 from binpick_env.options import CellOptions
 from perception.metrics.matching import MIN_REGION
 from policies.assessment.findings import Findings
@@ -15,7 +15,7 @@ from policies.assessment.sight import JITTER
 from policies.evaluation.undelivered import LeftReason
 from policies.picking.episode import Termination
 
-AdviceKind = Literal["unit", "mesh", "symmetry", "bin", "camera", "jaw", "train"]
+AdviceKind = Literal["unit", "mesh", "symmetry", "weight", "bin", "camera", "jaw", "train"]
 MIN_POINTS = 5.0 * MIN_REGION  # a part that is visible to a fifth then has the smallest number of points that counts
 LOW_AP = 0.8  # AP under which training pays: networks that were trained on a part reach 0.94 and more
 LOSS = 0.1  # share of the parts that a stage may lose without advice
@@ -48,7 +48,11 @@ def advise(findings: Findings) -> tuple[Advice, ...]:
     Args:
         findings: Everything that was measured.
     """
-    pieces = [*_unit(findings), *_mesh(findings), *_symmetry(findings), *_bin(findings)]
+    pieces = [*_unit(findings), *_mesh(findings), *_symmetry(findings)]
+    if too_heavy := [*_weight(findings)]:
+        pieces += too_heavy
+        findings = replace(findings, picking=None)  # what failed in picking failed for the weight
+    pieces += _bin(findings)
     pieces += _camera(findings)
     pieces += _jaw(findings)
     if not any(piece.kind == "camera" for piece in pieces):
@@ -87,6 +91,18 @@ def _symmetry(findings: Findings) -> Iterator[Advice]:
             "expect them to be confused",
             because=f"a turn by {near.angle_deg:.0f}° changes the surface by {1000 * near.deviation:.2f} mm only, and "
             f"symmetries are taken up to {1000 * near.tolerance:.2f} mm",
+        )
+
+
+def _weight(findings: Findings) -> Iterator[Advice]:
+    part = findings.part
+    largest = PAYLOAD - GRIPPER_MASS
+    if part.mass > largest:
+        yield Advice(
+            kind="weight",
+            text="Use an arm that carries more; or name the density of the part [kg/m^3] if it is not right: --density",
+            because=f"the part weighs {part.mass:.1f} kg at {part.density:.0f} kg/m^3, and a UR5e with this gripper "
+            f"carries up to {largest:.1f} kg",
         )
 
 

@@ -88,7 +88,7 @@ def _side_by_side(summary: Summary) -> list[str]:
     columns = []
     for name, key, of in (
         ("AP", "ap", "segmentation"),
-        ("recognition", "candidate_pose_accuracy", f"of {summary.candidates} poses"),
+        ("pose accuracy", "candidate_pose_accuracy", f"of {summary.candidates} poses"),
         ("recall", "candidate_recall", f"of {summary.parts_to_find} parts"),
     ):
         if key in given:
@@ -139,7 +139,7 @@ def _times(summary: Summary) -> list[str]:
     return [
         f"an attempt    sense {number(t['sense'], 2)} s (nominal)   compute {number(t['compute'], 2)} s (wall)   "
         f"motion {number(t['motion'], 2)} s (simulated)",
-        f"              {number(t['concurrent'], 2)} s of them during the motion of the attempt before",
+        f"concurrent    {number(t['concurrent'], 2)} s of sense and compute pass during the motion before",
         f"wall clock    {number(wall['attempt'], 2)} s an attempt, {number(wall['bin'], 1)} s a bin, "
         f"{percent(wall['render_share'])} of it rendering ({summary.camera_backend})",
     ]

@@ -15,7 +15,7 @@ _RATES = {
     "AP": "ap",
     "AP50": "ap50",
     "AP75": "ap75",
-    "recognition": "candidate_pose_accuracy",
+    "pose accuracy": "candidate_pose_accuracy",
     "precision": "candidate_precision",
     "recall": "candidate_recall",
     "GSR": "gsr",

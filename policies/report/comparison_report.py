@@ -16,7 +16,7 @@ _NAMES = {
     "dr": "DR, parts delivered [%]",
     "mpph": "MPPH, picks per hour",
     "ap": "AP, segmentation [%]",
-    "candidate_pose_accuracy": "recognition, poses right [%]",
+    "candidate_pose_accuracy": "pose accuracy, poses right [%]",
     "candidate_precision": "precision of candidates [%]",
     "candidate_recall": "recall, parts found [%]",
 }

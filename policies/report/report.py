@@ -31,6 +31,7 @@ COLUMNS = (
     "sense [s]",
     "compute [s]",
     "motion [s]",
+    "concurrent [s]",
     "frame",
 )
 _ENDS = {"empty": "emptied", "2F": "two failures in a row", "abstained": "nothing left to try", "time": "out of time"}
@@ -81,13 +82,14 @@ def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pic
 
 def _headline(summary: Summary) -> str:
     time = summary.time
-    parts = " + ".join(f"{name} {number(time[name], 2)}" for name in ("sense", "compute", "motion")) + " s"
+    parts = " + ".join(f"{name} {number(time[name], 2)}" for name in ("sense", "compute", "motion"))
+    parts += f" - concurrent {number(time['concurrent'], 2)} s"
     mpph, motion = summary.intervals["mpph"], summary.intervals["motion_dph"]
     tiles = [
         _rate_tile("GSR · grasp success", summary.gsr_rate, "attempts"),
         _rate_tile("DR · parts delivered", summary.dr_rate, "parts"),
         _perception_tile(
-            summary, "recognition · poses right", "candidate_pose_accuracy", f"of {summary.candidates} candidates"
+            summary, "pose accuracy · poses right", "candidate_pose_accuracy", f"of {summary.candidates} candidates"
         ),
         _perception_tile(
             summary, "recall · parts found", "candidate_recall", f"of {summary.parts_to_find} half visible, all frames"
@@ -195,7 +197,7 @@ def _row(k: int, pick: PickRecord) -> list[str]:
     def mm(length: float | None) -> str:
         return "–" if length is None else f"{1000 * length:.1f}"
 
-    times = [f"{t:.2f}" for t in (pick.t_sense, pick.t_compute, pick.t_motion)]
+    times = [f"{t:.2f}" for t in (pick.t_sense, pick.t_compute, pick.t_motion, pick.t_concurrent)]
     features = ", ".join(f"{name} {value:.3g}" for name, value in pick.features.items())
     score = f"<span title='{escape(features)}'>{number(pick.score, 2)}</span>"
     part = "–" if pick.part < 0 else str(pick.part)

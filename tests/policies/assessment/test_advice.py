@@ -23,6 +23,7 @@ CASES: list[tuple[str, Findings, str, str]] = [
         "--symmetry-tolerance 0.0007",
         "by 180° changes the surface by 0.60",
     ),
+    ("weight", changed("part", mass=4.2), "an arm that carries more", "4.2 kg at 2700 kg/m^3, and a UR5e with this"),
     ("bin", changed("bin", largest_d_max=0.05), "shorter side is 416 mm or more", "holds a pile of parts up to 50 mm"),
     ("bin", changed("bin", capacity=10), "2.0 times the volume", "holds 10 of these parts, and 20 were to lie in it"),
     ("camera", changed("sight", whole_bin=False), "--camera-distance 0.85", "does not see the whole bin"),
@@ -117,3 +118,13 @@ def test_training_scenes_have_the_cells_options() -> None:
 def test_a_training_that_is_longer_than_the_last_one_has_a_folder_of_its_own() -> None:
     (piece,) = advise(changed("perception", ap=0.5, training="own"))
     assert piece.text.endswith("--minutes 30 --seed 1")
+
+
+def test_failed_picks_of_a_part_that_is_too_heavy_are_not_put_down_to_bin_or_jaw() -> None:
+    losses = Losses(delivered=0.0, segmentation=0.0, pose=0.0, picking=1.0)
+    failing = changed("picking", losses=losses, failures={"not_settled": 6}, attempts=6, ends={"2F": 3})
+    assert [piece.kind for piece in advise(failing)] == ["jaw"]
+    heavy = replace(failing, part=replace(failing.part, mass=9.0))
+    assert [piece.kind for piece in advise(heavy)] == ["weight"]
+    light = replace(failing, part=replace(failing.part, mass=4.0))
+    assert [piece.kind for piece in advise(light)] == ["jaw"]

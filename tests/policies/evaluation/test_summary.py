@@ -199,7 +199,7 @@ def test_failed_attempts_are_counted_by_stage_and_shown_beside_perception() -> N
     table = result_table(summary)
     assert "failed attempts by stage    segment" in table
     head = table.splitlines()[2:6]
-    assert head[0].split() == ["AP", "recognition", "recall", "GSR", "DR"]
+    assert head[0].split() == ["AP", "pose", "accuracy", "recall", "GSR", "DR"]
     # Beside what is right stands how much is found: half of the parts, and one of twenty delivered.
     assert head[1].split() == ["–", "50.0", "%", "50.0", "%", "20.0", "%", "5.0", "%"]
     assert [cell.strip() for cell in head[2].split("  ") if cell] == [

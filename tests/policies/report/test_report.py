@@ -91,7 +91,7 @@ def test_the_page_shows_numbers_attempts_and_failures(report: Callable[..., str]
     text = report(attempt(DELIVERED), attempt(MISSED), abstain())
     for part in ("50.0 %", "1 of 2 attempts", "3 decisions", "30.0", "no candidate", "odd &lt;&amp;&gt; name.stl"):
         assert part in text
-    for part in ("recognition", "failed at grasp", "part 1, score 0.90, off by 0 mm, ", "1 candidates"):
+    for part in ("pose accuracy", "failed at grasp", "part 1, score 0.90, off by 0 mm, ", "1 candidates"):
         assert part in text
 
 
@@ -177,12 +177,12 @@ def test_every_picture_says_in_words_what_it_shows(report: Callable[..., str], t
 
 
 @pytest.mark.parametrize(
-    ("perception", "given"), [("learned", set()), ("gt_masks", {"AP"}), ("oracle", {"AP", "recognition", "recall"})]
+    ("perception", "given"), [("learned", set()), ("gt_masks", {"AP"}), ("oracle", {"AP", "pose accuracy", "recall"})]
 )
 def test_what_the_ground_truth_gave_is_labelled(report: Callable[..., str], perception: Any, given: set[str]) -> None:
     text = report(attempt(MISSED), config=replace(CONFIG, perception=perception))
-    tiles = dict(re.findall(r"<div class='card tile'><span>(\w+)[^<]*</span><b>([^<]*)</b>", text))
-    assert {name for name, value in tiles.items() if value == "given"} - {"precision", "pose"} == given
+    tiles = dict(re.findall(r"<div class='card tile'><span>([^<·]*?)(?: ·[^<]*)?</span><b>([^<]*)</b>", text))
+    assert {name for name, value in tiles.items() if value == "given"} - {"precision", "pose errors"} == given
     assert tiles["DR"] == "0.0 %"
     assert ("not measured: true poses" in text) == (perception == "oracle")
 
