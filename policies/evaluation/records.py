@@ -67,8 +67,8 @@ class PickRecord:
 
     @property
     def seconds(self) -> float:
-        """Time that the decision took [s]."""
-        return self.t_sense + self.t_compute + self.t_motion - self.t_concurrent
+        """Time of sensing, computing and motion, one after the other [s]."""
+        return self.t_sense + self.t_compute + self.t_motion
 
     @property
     def ending(self) -> GraspOutcome | Abstention | PushOutcome | None:
@@ -160,8 +160,8 @@ class BinRecord:
 
     @property
     def timed(self) -> tuple[PickRecord, ...]:
-        """The decisions whose time counts in rates per hour: attempts and pushes."""
-        return tuple(pick for pick in self.picks if pick.abstention is None)
+        """The decisions whose time counts in rates per hour: attempts, pushes, and abstentions that moved the arm."""
+        return tuple(pick for pick in self.picks if pick.abstention is None or pick.t_motion > 0)
 
     def frame(self, frame_id: int) -> FrameRecord | None:
         """Return the record of the frame with this number, None if there is none."""

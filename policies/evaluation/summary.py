@@ -28,8 +28,10 @@ class Summary:
     Attributes:
         gsr: Grasp success rate: successes / attempts, pooled over the bins.
         dr: Declutter rate: parts delivered / parts settled, pooled.
-        mpph: Mean picks per hour, 3600 q / (t_sense + t_compute + t_motion - t_concurrent), means over attempts;
-            the time of pushes is added.
+        mpph: Mean picks per hour, 3600 q / (t_sense + t_compute + t_motion), means over attempts; the time of pushes is
+            added.
+        mpph_overlapped: The same on one clock, on which what is sensed and computed during a motion takes no time of
+            its own: 3600 q / (t_sense + t_compute + t_motion - t_concurrent).
         motion_dph: Deliveries per hour of simulated motion alone, 3600 q / t_motion.
         attempts: Number of executed attempts.
         successes: Number of attempts that delivered exactly one part.
@@ -40,7 +42,7 @@ class Summary:
         abstentions: Number of decisions without an attempt, by reason.
         termination: Number of bins, by the reason why they ended.
         outcomes: Number of attempts, by how they ended.
-        pushes: Number of pushes, by how they ended. Their time counts in mpph and motion_dph.
+        pushes: Number of pushes, by how they ended. Their time counts in all rates per hour.
         doubles: Number of ``lifts`` with a part and of ``doubles`` among them, and what the detectors ``jaw``,
             ``weight`` and ``image``, and ``either`` of them, said: ``detected``, ``missed`` and ``false_alarms``.
             ``lifts`` of ``image`` counts those after which an image was taken.
@@ -69,7 +71,7 @@ class Summary:
         camera_backend: What rendered the frames.
         weights: ``name``, ``sha256`` and ``training`` ("own", "family" or "zero-shot") of the segmentation network;
             None where perception uses none.
-        intervals: Intervals of gsr and dr (Wilson), of mpph and motion_dph (percentile bootstrap over attempts), of
+        intervals: Intervals of gsr and dr (Wilson), of the three rates per hour (bootstrap over attempts), of
             gsr_bins and dr_bins (the same rates, percentile bootstrap over whole bins; None for a single bin), and
             over bins likewise of ap, ap50, ap75 and the three rates of candidates, which are never narrower than
             Wilson's.
@@ -84,6 +86,7 @@ class Summary:
     gsr: float | None
     dr: float | None
     mpph: float | None
+    mpph_overlapped: float | None
     motion_dph: float | None
     attempts: int
     successes: int
@@ -167,18 +170,20 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
     gsr, dr = rate(successes, len(attempts)), rate(delivered, settled)
     bins = [(sum(a.outcome is GraspOutcome.DELIVERED for a in r.attempts), len(r.attempts)) for r in records]
     timed = [pick for record in records for pick in record.timed]
-    spent = np.array([(a.seconds, a.t_motion) for a in timed]).reshape(-1, 2)
+    spent = np.array([(a.seconds, a.seconds - a.t_concurrent, a.t_motion) for a in timed]).reshape(-1, 3)
     counted = np.array([pick.outcome is GraspOutcome.DELIVERED for pick in timed], dtype=np.float64)
     pushes = [pick.push for pick in timed if pick.push is not None]
     mpph, mpph_interval = _per_hour(counted, spent[:, 0], rng)
-    motion_dph, motion_interval = _per_hour(counted, spent[:, 1], rng)
+    motion_dph, motion_interval = _per_hour(counted, spent[:, 2], rng)
     gsr_bins = over_bins(bins, rng)
     dr_bins = over_bins([(record.delivered, record.parts_total) for record in records], rng)
     perception = summarise_frames(records, rng)
+    overlapped, overlapped_interval = _per_hour(counted, spent[:, 1], rng)
     return Summary(
         gsr=gsr.value,
         dr=dr.value,
         mpph=mpph,
+        mpph_overlapped=overlapped,
         motion_dph=motion_dph,
         attempts=len(attempts),
         successes=successes,
@@ -215,6 +220,7 @@ def summarise(records: Sequence[BinRecord], config: EvaluationConfig, rng: np.ra
             "gsr": (gsr.low, gsr.high),
             "dr": (dr.low, dr.high),
             "mpph": mpph_interval,
+            "mpph_overlapped": overlapped_interval,
             "motion_dph": motion_interval,
             "gsr_bins": gsr_bins,
             "dr_bins": dr_bins,

@@ -128,6 +128,7 @@ def _headline(summary: Summary) -> list[str]:
         rows.append((name, percent(rate.value), f"{rate.successes}/{rate.n}", interval))
     for name, value, key in (
         ("MPPH mean picks per hour", summary.mpph, "mpph"),
+        ("     overlapped", summary.mpph_overlapped, "mpph_overlapped"),
         ("     on motion alone", summary.motion_dph, "motion_dph"),
     ):
         rows.append((name, number(value, 0), str(summary.attempts), spread(summary.intervals[key])))

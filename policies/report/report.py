@@ -83,8 +83,9 @@ def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pic
 def _headline(summary: Summary) -> str:
     time = summary.time
     parts = " + ".join(f"{name} {number(time[name], 2)}" for name in ("sense", "compute", "motion"))
-    parts += f" - concurrent {number(time['concurrent'], 2)} s"
-    mpph, motion = summary.intervals["mpph"], summary.intervals["motion_dph"]
+    parts += " s"
+    saved = f"{number(time['concurrent'], 2)} s of sense and compute during the motion before"
+    mpph, overlapped, motion = (summary.intervals[key] for key in ("mpph", "mpph_overlapped", "motion_dph"))
     tiles = [
         _rate_tile("GSR · grasp success", summary.gsr_rate, "attempts"),
         _rate_tile("DR · parts delivered", summary.dr_rate, "parts"),
@@ -95,6 +96,7 @@ def _headline(summary: Summary) -> str:
             summary, "recall · parts found", "candidate_recall", f"of {summary.parts_to_find} half visible, all frames"
         ),
         tile("MPPH · picks per hour", number(summary.mpph, 0), f"95 %: {spread(mpph)} · {parts}"),
+        tile("MPPH overlapped", number(summary.mpph_overlapped, 0), f"95 %: {spread(overlapped)} · {saved}"),
         tile("per hour of motion alone", number(summary.motion_dph, 0), f"95 %: {spread(motion)}"),
     ]
     return f"<div class='grid tiles'>{''.join(tiles)}</div>"

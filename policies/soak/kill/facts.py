@@ -13,9 +13,9 @@ import numpy as np
 # Fields of wall clock, and the command line, which names the folder; in JSON objects, tables and archives.
 WALL_CLOCK = frozenset(
     {
-        "command", "compute", "concurrent", "elapsed", "minutes", "mpph", "ms", "ms_per_group", "ms_per_scene",
-        "ms_pose", "ms_trials", "render", "settle", "t_compute", "t_compute_s", "t_concurrent", "t_concurrent_s",
-        "wall",
+        "command", "compute", "concurrent", "elapsed", "minutes", "mpph", "mpph_overlapped", "ms", "ms_per_group",
+        "ms_per_scene", "ms_pose", "ms_trials", "render", "settle", "t_compute", "t_compute_s",
+        "t_concurrent", "t_concurrent_s", "wall",
     }
 )  # fmt: skip
 _DRAWN = (".html", ".svg", ".png", ".zip")  # pages and pictures, which show times

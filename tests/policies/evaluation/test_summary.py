@@ -71,9 +71,9 @@ def test_time_that_passes_during_the_motion_before_counts_once(records: list[Bin
     early = [replace(r, picks=tuple(replace(p, t_concurrent=0.5) for p in r.picks)) for r in records]
     before, after = summary_of(records), summary_of(early)
     assert after.time == before.time | {"concurrent": 0.5}
-    assert before.mpph is not None
-    assert after.mpph is not None
-    assert 3600 * 0.75 / after.mpph == pytest.approx(3600 * 0.75 / before.mpph - 0.5)
+    assert before.mpph_overlapped == before.mpph == after.mpph is not None
+    assert after.mpph_overlapped is not None
+    assert 3600 * 0.75 / after.mpph_overlapped == pytest.approx(3600 * 0.75 / after.mpph - 0.5)
     assert after.motion_dph == before.motion_dph
 
 
