@@ -244,7 +244,7 @@ class ScriptedPicker:
         may_put_back = settings.put_back and self._extra.allows(candidate.centre_world, len(env.candidates) - 1)
         planning = self._move(plan, execution, candidate.T_world_part, check, may_put_back)
         execution.await_judgement()
-        if execution.looked_ahead and arm_in_view(env, self.settings.rank.cell):
+        if execution.looked_ahead and (execution.retraced or arm_in_view(env, self.settings.rank.cell)):
             env.look()
         # A part that was out of the bin already, and came to rest only now, belongs to an earlier attempt.
         kinds = [event.kind for event in env.events[events_before:] if event.part not in strays]

@@ -71,5 +71,18 @@ def test_a_frame_with_the_arm_in_view_is_taken_again_at_home(env: BinPickEnv, mo
     assert (second.frame_id, age, second.t_concurrent) == (first.frame_id + 2, 0.0, 0.0)
 
 
+def test_a_frame_is_taken_again_after_an_arm_that_went_back_through_the_bin(
+    env: BinPickEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picker = ScriptedPicker(env)
+    monkeypatch.setattr(picker._planner, "home", lambda _: None)
+    cell = HandCell(env, picker)
+    cell.lay(cell.flat(0.05), cell.flat(-0.08, yaw=0.6))
+    first = picker.pick()
+    assert first.outcome is GraspOutcome.DELIVERED
+    assert (env.frame_id, env.episode.frame.time) == (first.frame_id + 2, env.simulation.time)
+    assert cell.at_home
+
+
 def test_policies_that_learn_from_attempts_take_frames_after_them() -> None:
     assert not PickerSettings().attempts_only().execution.look_ahead
