@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from binpick_env.cell.robot import HOME
-from binpick_env.env import BinPickEnv
+from binpick_env.env import MAX_EPISODE_STEPS, BinPickEnv
 from policies.grasping.outcomes import GraspOutcome, PickResult
 from policies.picking import scripted
-from policies.picking.execution import ExecutionSettings
+from policies.picking.execution import Execution, ExecutionSettings
 from policies.picking.scripted import T_SENSE, ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import SMALL_IMAGE, HandCell
@@ -69,6 +69,23 @@ def test_a_frame_with_the_arm_in_view_is_taken_again_at_home(env: BinPickEnv, mo
     monkeypatch.setattr(scripted, "arm_in_view", lambda *_: True)
     _, (first, second), age = two_picks(env)
     assert (second.frame_id, age, second.t_concurrent) == (first.frame_id + 2, 0.0, 0.0)
+
+
+def test_a_carry_that_ends_at_home_leads_to_one_frame(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    picker = ScriptedPicker(env)
+    monkeypatch.setattr(picker._planner, "_release_posture", lambda _: HOME)
+    cell = HandCell(env, picker)
+    cell.lay(cell.flat(0.05), cell.flat(-0.08, yaw=0.6))
+    first, second = picker.pick(), picker.pick()
+    assert first.outcome is second.outcome is GraspOutcome.DELIVERED
+    assert (second.frame_id, env.frame_id) == (first.frame_id + 1, first.frame_id + 2)
+
+
+def test_no_frame_is_taken_when_the_episode_is_over(env: BinPickEnv) -> None:
+    env.reset(seed=0)
+    env.skip(MAX_EPISODE_STEPS)
+    Execution(env, ExecutionSettings()).look_ahead(env.frame_id)
+    assert env.frame_id == 0
 
 
 def test_a_frame_is_taken_again_after_an_arm_that_went_back_through_the_bin(
