@@ -12,7 +12,7 @@ from policies.picking import scripted
 from policies.picking.execution import Execution, ExecutionSettings
 from policies.picking.scripted import T_SENSE, ScriptedPicker
 from policies.picking.settings import PickerSettings
-from tests.policies.hand_cell import SMALL_IMAGE, HandCell
+from tests.policies.hand_cell import SMALL_IMAGE, Blind, HandCell, lie
 
 pytestmark = pytest.mark.slow
 
@@ -54,6 +54,15 @@ def test_what_is_computed_while_the_arm_moves_is_told(env: BinPickEnv) -> None:
     _, (first, second), age = two_picks(env)
     assert first.t_concurrent == 0.0
     assert T_SENSE < second.t_concurrent <= min(age, second.t_sense + second.t_compute)
+
+
+def test_a_frame_that_was_decided_on_before_saves_no_time(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = HandCell(env, ScriptedPicker(env))
+    cell.lay(cell.flat())
+    lie(monkeypatch, cell, Blind())
+    env.look()
+    env.skip(50)
+    assert [cell.picker.pick().t_concurrent > 0 for _ in range(2)] == [True, False]
 
 
 def test_without_looking_ahead_frames_are_taken_at_home(env: BinPickEnv) -> None:
