@@ -78,11 +78,12 @@ class EpisodeState:
     def with_arm_at(self, joint_positions: Floats) -> tuple["EpisodeState", bool]:
         """Return the state with the arm at (6,) positions [rad], and whether a frame is due.
 
-        It is when the arm is back home after having left, unless it was taken on the way.
+        It is when the arm is back home after having left, unless it was taken on the way. One that was taken at home,
+        before the arm left, takes no other's place.
         """
         distance = float(np.max(np.abs(joint_positions - HOME)))
         if distance > AWAY:
-            return replace(self, away=True), False
+            return replace(self, away=True, ahead=self.ahead and self.away), False
         if distance < HOME_ZONE and self.away:
             return replace(self, away=False, ahead=False), not self.ahead
         return self, False

@@ -59,7 +59,11 @@ class Arguments(CellArguments):
     rerun: Path | None = None
 
     def config(self) -> "EvaluationConfig":
-        """Return what the numbers depend on."""
+        """Return what the numbers depend on.
+
+        Raises:
+            ValueError: The largest tilt is not over 0 and at most 90 degrees, or a setting refuses its option.
+        """
         from binpick_env.observation.oracle import PoseNoise
         from policies.evaluation.config import EvaluationConfig
         from policies.grasping.clearance import RankSettings
@@ -69,6 +73,8 @@ class Arguments(CellArguments):
         from policies.picking.load_check import DoubleSettings
         from policies.picking.settings import PickerSettings
 
+        if not 0 < self.max_tilt_deg <= 90:
+            raise ValueError(f"max_tilt_deg must be over 0 and at most 90 degrees, got {self.max_tilt_deg}")
         picker = PickerSettings(
             rank=RankSettings(max_tilt=radians(self.max_tilt_deg)),
             ik=IkSettings(restarts=self.ik_restarts),

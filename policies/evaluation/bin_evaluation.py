@@ -105,7 +105,7 @@ class _Recorder:
         self._listeners.before_decision()
         self._count_frame()
         frame_record = self._record_frame()
-        # Kept now: a pick ends with the next frame, once the arm is back home.
+        # Kept now: the next frame is taken during a pick.
         labelled_capture, observed = env.labelled_capture, env.observed
         self._losses.before(labelled_capture)
         result = self._picker.pick()

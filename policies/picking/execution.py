@@ -42,6 +42,7 @@ class Execution:
         self._collided = self._put_back = False
         self.double = False  # whether the carry ended because more than one part was found in the jaw
         self.looked_ahead = False  # whether the next frame was taken with the load over the tray
+        self.retraced = False  # whether the arm went back the way that it came, which leads through the bin
         self._held: dict[str, bool] = {}  # whether both pads touched a part when closed, lifted and carried
 
     def follow(self, trajectory: Trajectory, gripper: float, *, guard: bool = False) -> bool:
@@ -149,6 +150,7 @@ class Execution:
 
     def retrace(self) -> None:
         """Go back through all commanded targets with the jaw open."""
+        self.retraced = True
         for q in reversed(self._commanded.copy()):
             self._step(q, 0.0)
 

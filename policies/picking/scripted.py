@@ -12,6 +12,7 @@ from binpick_env.cell.delivery import Delivery
 from binpick_env.cell.robot import HOME
 from binpick_env.cell.wrist_force import WristForceSensor
 from binpick_env.env import BinPickEnv
+from binpick_env.episode import FrameState
 from perception.geometry import Floats, transform_points
 from policies.grasping.clearance import RankStats, rank_grasps
 from policies.grasping.failed_grasps import FailedGrasps
@@ -98,7 +99,7 @@ class ScriptedPicker:
         self._planner = AttemptPlanner(env.config, env.part.model, self.gripper, self.settings)
         self._pusher = Pusher(env, self._planner, self.gripper, self.settings)
         self.rank_stats = RankStats()
-        self._warm = False
+        self._seen: FrameState | None = None  # frame of the last decision
         self._last_scene: ObservedScene | None = None  # scene of the last frame that was asked for
         self.reset()
 
@@ -124,10 +125,11 @@ class ScriptedPicker:
 
         A push takes the place of a second abstention in a row, if the settings allow pushes.
         """
-        if not self._warm:  # a first decision compiles kernels, which is no part of a decision's time
+        seen, self._seen = self._seen, self._env.episode.frame
+        if seen is None:  # a first decision compiles kernels, which is no part of a decision's time
             self._decide()
-            self._warm, self._last_scene = True, None
-        waited = self._env.simulation.time - self._env.episode.frame.time
+            self._last_scene = None
+        waited = 0.0 if seen is self._seen else self._env.simulation.time - self._seen.time
         started = time.perf_counter()
         plan = self._decide()
         gives_up = isinstance(plan, Abstention) and self._refused is not None and self.settings.push.enabled
@@ -244,7 +246,7 @@ class ScriptedPicker:
         may_put_back = settings.put_back and self._extra.allows(candidate.centre_world, len(env.candidates) - 1)
         planning = self._move(plan, execution, candidate.T_world_part, check, may_put_back)
         execution.await_judgement()
-        if execution.looked_ahead and arm_in_view(env, self.settings.rank.cell):
+        if execution.looked_ahead and (execution.retraced or arm_in_view(env, self.settings.rank.cell)):
             env.look()
         # A part that was out of the bin already, and came to rest only now, belongs to an earlier attempt.
         kinds = [event.kind for event in env.events[events_before:] if event.part not in strays]
@@ -268,11 +270,10 @@ class ScriptedPicker:
 
         Nothing has moved since the frame before, in which perception may have found other parts.
         """
-        settings = self.settings
         for scene in (self.observed_scene(), self._refused):
             if scene is None or not scene.candidates:
                 continue
-            pushes = find_pushes(scene, self.grasp_set, self.gripper, settings.push, settings.rank)
+            pushes = find_pushes(scene, self.grasp_set, self.gripper, self.settings.push, self.settings.rank)
             allowed = [
                 push
                 for push in pushes
@@ -281,8 +282,7 @@ class ScriptedPicker:
             ]
             planned = self._pusher.plan(allowed, self._pile_height())
             if planned is not None:
-                push, press = planned
-                return scene.candidates[push.candidate], push, press
+                return scene.candidates[planned[0].candidate], *planned
         return None
 
     def _push(self, candidate: PoseCandidate, push: Push, press: Press) -> PickResult:

@@ -185,6 +185,12 @@ def test_a_frame_taken_ahead_stands_for_the_next_one_at_home(env: BinPickEnv) ->
     assert act(env, 1.2)[-1][4]["frame_id"] == 2  # the one after is taken at home again
 
 
+def test_a_frame_taken_ahead_at_home_stands_for_no_other(env: BinPickEnv) -> None:
+    env.look(ahead=True)
+    act(env, 0.8, away(-1.0))
+    assert act(env, 1.2)[-1][4]["frame_id"] == 2
+
+
 @pytest.mark.parametrize("distance", [HOME_ZONE + 0.05, AWAY - 0.02])
 def test_a_short_excursion_takes_no_frame(env: BinPickEnv, distance: float) -> None:
     for _ in range(2):

@@ -210,5 +210,11 @@ def test_tilt_and_restarts_of_inverse_kinematics_arrive() -> None:
     assert (picker.rank.max_tilt, picker.ik.restarts) == (pytest.approx(np.pi / 2), 0)
 
 
+@pytest.mark.parametrize("degrees", [0.0, 91.0, np.nan])
+def test_a_tilt_that_is_none_is_refused_in_the_options_unit(degrees: float) -> None:
+    with pytest.raises(ValueError, match=f"max_tilt_deg must be over 0 and at most 90 degrees, got {degrees}"):
+        pick.Arguments(max_tilt_deg=degrees).config()
+
+
 def test_parts_that_others_lie_on_are_avoided_unless_that_is_switched_off() -> None:
     assert pick.Arguments(avoid=False).config().picker == PickerSettings(most_buried=1.0)

@@ -9,6 +9,8 @@ from binpick_env.cell.kinematic_motion import KinematicMotion
 from binpick_env.cell.robot import HOME
 from binpick_env.env import BinPickEnv
 from policies.grasping.outcomes import GraspOutcome, PickResult
+from policies.picking.execution import ExecutionSettings
+from policies.picking.fast_execution import FastExecution
 from policies.selection.candidate_generator import CandidateGenerator
 from policies.selection.env import GraspSelectionEnv
 from policies.selection.fast_agreement import PairedAttempt, agreement_table, paired_attempts
@@ -110,6 +112,14 @@ def test_two_fast_copies_stay_equal(fast: GraspSelectionEnv) -> None:
 @pytest.fixture
 def kinematic(full: GraspSelectionEnv) -> tuple[BinPickEnv, KinematicMotion]:
     return full.cell, KinematicMotion(full.cell.simulation)
+
+
+def test_no_frame_is_taken_over_the_tray(kinematic: tuple[BinPickEnv, KinematicMotion]) -> None:
+    env, motion = kinematic
+    env.reset(seed=0)
+    execution = FastExecution(env, ExecutionSettings(look_ahead=True), motion)
+    execution.look_ahead(env.frame_id)
+    assert (env.frame_id, execution.looked_ahead) == (0, False)
 
 
 def test_kinematic_motion_ends_where_the_physics_end(kinematic: tuple[BinPickEnv, KinematicMotion]) -> None:

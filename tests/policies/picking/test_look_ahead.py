@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from binpick_env.cell.robot import HOME
-from binpick_env.env import BinPickEnv
+from binpick_env.env import MAX_EPISODE_STEPS, BinPickEnv
 from policies.grasping.outcomes import GraspOutcome, PickResult
 from policies.picking import scripted
-from policies.picking.execution import ExecutionSettings
+from policies.picking.execution import Execution, ExecutionSettings
 from policies.picking.scripted import T_SENSE, ScriptedPicker
 from policies.picking.settings import PickerSettings
-from tests.policies.hand_cell import SMALL_IMAGE, HandCell
+from tests.policies.hand_cell import SMALL_IMAGE, Blind, HandCell, lie
 
 pytestmark = pytest.mark.slow
 
@@ -56,6 +56,15 @@ def test_what_is_computed_while_the_arm_moves_is_told(env: BinPickEnv) -> None:
     assert T_SENSE < second.t_concurrent <= min(age, second.t_sense + second.t_compute)
 
 
+def test_a_frame_that_was_decided_on_before_saves_no_time(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = HandCell(env, ScriptedPicker(env))
+    cell.lay(cell.flat())
+    lie(monkeypatch, cell, Blind())
+    env.look()
+    env.skip(50)
+    assert [cell.picker.pick().t_concurrent > 0 for _ in range(2)] == [True, False]
+
+
 def test_without_looking_ahead_frames_are_taken_at_home(env: BinPickEnv) -> None:
     settings = replace(PickerSettings(), execution=ExecutionSettings(look_ahead=False))
     _, (first, second), age = two_picks(env, settings)
@@ -69,6 +78,36 @@ def test_a_frame_with_the_arm_in_view_is_taken_again_at_home(env: BinPickEnv, mo
     monkeypatch.setattr(scripted, "arm_in_view", lambda *_: True)
     _, (first, second), age = two_picks(env)
     assert (second.frame_id, age, second.t_concurrent) == (first.frame_id + 2, 0.0, 0.0)
+
+
+def test_a_carry_that_ends_at_home_leads_to_one_frame(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    picker = ScriptedPicker(env)
+    monkeypatch.setattr(picker._planner, "_release_posture", lambda _: HOME)
+    cell = HandCell(env, picker)
+    cell.lay(cell.flat(0.05), cell.flat(-0.08, yaw=0.6))
+    first, second = picker.pick(), picker.pick()
+    assert first.outcome is second.outcome is GraspOutcome.DELIVERED
+    assert (second.frame_id, env.frame_id) == (first.frame_id + 1, first.frame_id + 2)
+
+
+def test_no_frame_is_taken_when_the_episode_is_over(env: BinPickEnv) -> None:
+    env.reset(seed=0)
+    env.skip(MAX_EPISODE_STEPS)
+    Execution(env, ExecutionSettings()).look_ahead(env.frame_id)
+    assert env.frame_id == 0
+
+
+def test_a_frame_is_taken_again_after_an_arm_that_went_back_through_the_bin(
+    env: BinPickEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picker = ScriptedPicker(env)
+    monkeypatch.setattr(picker._planner, "home", lambda _: None)
+    cell = HandCell(env, picker)
+    cell.lay(cell.flat(0.05), cell.flat(-0.08, yaw=0.6))
+    first = picker.pick()
+    assert first.outcome is GraspOutcome.DELIVERED
+    assert (env.frame_id, env.episode.frame.time) == (first.frame_id + 2, env.simulation.time)
+    assert cell.at_home
 
 
 def test_policies_that_learn_from_attempts_take_frames_after_them() -> None:
