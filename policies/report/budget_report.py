@@ -63,6 +63,7 @@ def number_rows(budget: Budget) -> list[list[str]]:
     summaries = [budget.modes[mode] for mode in MODES]
     rows = [[name, *(_rate(mode, key, budget.modes[mode]) for mode in MODES)] for name, key in _RATES.items()]
     rows.append(["MPPH", *(number(summary.mpph, 0) for summary in summaries)])
+    rows.append(["overlapped", *(number(summary.mpph_overlapped, 0) for summary in summaries)])
     times = ("sense", "compute", "motion", "concurrent")
     rows += [[f"{name} [s]", *(number(summary.time[name], 2) for summary in summaries)] for name in times]
     rows.append(["attempts", *(str(summary.attempts) for summary in summaries)])
