@@ -61,7 +61,7 @@ def read_mesh(path: Path, unit: Unit | None = None) -> trimesh.Trimesh:
         repairs.append(f"simplified from {faces} to {len(mesh.faces)} faces")
     mesh.metadata["unit"] = read_as
     mesh.metadata["facts"] = FileFacts(unit=read_as, unit_origin=origin, bodies=bodies, repairs=tuple(repairs))
-    sides = np.sort(mesh.bounding_box_oriented.extents)
+    sides = np.sort(mesh.bounding_box_oriented.primitive.extents)
     if sides[0] < LEAST_THICKNESS:
         raise ValueError(
             f"{path} is {1e3 * sides[0]:.3g} mm thick, taken as {read_as}; the cell simulates parts from "

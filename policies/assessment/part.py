@@ -58,7 +58,7 @@ def part_facts(part: Part, symmetry: SymmetrySettings | None = None) -> PartFact
     """
     model, file = part.model, part.file
     mesh = model.mesh
-    long, middle, short = sorted((float(side) for side in mesh.bounding_box_oriented.extents), reverse=True)
+    long, middle, short = sorted((float(side) for side in mesh.bounding_box_oriented.primitive.extents), reverse=True)
     near = None if file is None or symmetry is None else near_symmetry(mesh, model.symmetry, symmetry)
     return PartFacts(
         name=model.name,

@@ -288,6 +288,27 @@ def test_a_foil_is_refused_with_its_thickness(save: Save) -> None:
         read_mesh(save(creation.box((0.06, 0.04, 0.00005))))
 
 
+@pytest.mark.parametrize(
+    ("mesh", "sides"),
+    [
+        (creation.cylinder(radius=0.033, height=0.080, sections=64), (0.066, 0.066, 0.080)),
+        (creation.box((0.06, 0.04, 0.02)), (0.02, 0.04, 0.06)),
+    ],
+)
+def test_the_sides_are_those_of_the_least_box_however_the_part_is_turned(
+    save: Save, mesh: trimesh.Trimesh, sides: tuple[float, float, float]
+) -> None:
+    turn = trimesh.transformations.rotation_matrix(0.5, (1.0, 0.3, 0.2))
+    assert read_mesh(save(mesh.copy().apply_transform(turn))).metadata["sides"] == pytest.approx(sides, rel=0.002)
+
+
+def test_a_tilted_foil_is_refused_with_its_thickness(save: Save) -> None:
+    turn = trimesh.transformations.rotation_matrix(0.5, (1.0, 0.3, 0.2))
+    foil = creation.box((0.06, 0.04, 0.00005)).apply_transform(turn)
+    with pytest.raises(ValueError, match=r"is 0\.05 mm thick, taken as m"):
+        read_mesh(save(foil))
+
+
 @pytest.mark.parametrize("size", [1e-6, 10.0])
 def test_parts_of_1_um_and_10_m(save: Save, size: float) -> None:
     path = save(creation.box((size, size, size)), "part.ply")
