@@ -55,10 +55,15 @@ def _unwritable(options: Any) -> Iterator[str]:
             yield f"{option} must name a file, got the folder {path}"
         elif there == path and path.is_file() and is_folder:
             yield f"{option} must name a folder, got the file {path}"
+        elif there == path and not (path.is_file() or path.is_dir()):  # the atomic write would put a file in its place
+            kind = "folder" if is_folder else "file"
+            yield f"{option} must name a {kind}, got {path}, which is a device, a pipe or a socket"
         elif not os.access(there, os.W_OK):
             yield f"{option} {path} cannot be written: {there} is read-only"
-        elif there.is_dir() and (reason := _refusal(there)) is not None:
-            yield f"{option} {path} cannot be written: {there}: {reason}; name another place, or make room"
+        else:
+            folder = there if there.is_dir() else there.parent  # an old file is replaced by one beside it
+            if (reason := _refusal(folder)) is not None:
+                yield f"{option} {path} cannot be written: {folder}: {reason}; name another place, or make room"
 
 
 def _refusal(folder: Path) -> str | None:

@@ -183,6 +183,23 @@ def test_a_file_that_cannot_be_written_is_said_before_the_work(
     assert re.search(text, capsys.readouterr().err)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "kind"),
+    [(["compare", "one", "two", "--json"], "file"), (["generate-scenes", "--out"], "folder")],
+)
+def test_a_device_or_a_pipe_is_not_replaced_by_a_file(
+    arguments: list[str], kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(SystemExit) as stop:
+        main([*arguments, str(pipe)])
+    assert stop.value.code == 2
+    text = f"must name a {kind}, got {pipe}, which is a device, a pipe or a socket"
+    assert capsys.readouterr().err == f"error: {arguments[-1]} {text}\n"
+    assert pipe.is_fifo()
+
+
 def test_a_folder_that_cannot_be_written_is_said_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -199,18 +216,21 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(
     assert capsys.readouterr().err == f"error: the argument must name a folder, got the file {tmp_path / 'scenes'}\n"
 
 
+@pytest.mark.parametrize("name", ["new/a.json", "old.json"])  # a file that is there is written anew beside itself
 def test_a_full_disk_is_said_before_the_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    (tmp_path / "old.json").write_text("{}")
+
     class Full(io.BytesIO):
         def write(self, data: Any) -> int:
             raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(command_line, "TemporaryFile", lambda dir: Full())
     with pytest.raises(SystemExit) as stop:
-        main(["compare", "one", "two", "--json", str(tmp_path / "new" / "a.json")])
+        main(["compare", "one", "two", "--json", str(tmp_path / name)])
     assert stop.value.code == 2
-    text = f"a.json cannot be written: {tmp_path}: No space left on device; name another place, or make room"
+    text = f"{name} cannot be written: {tmp_path}: No space left on device; name another place, or make room"
     assert text in capsys.readouterr().err
 
 
