@@ -34,10 +34,13 @@ def _without_nan(values: Any) -> Any:
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` atomically; folders that are missing are created."""
+    """Write ``text`` to ``path`` atomically, in UTF-8; folders that are missing are created.
+
+    A character that UTF-8 does not have, such as those of a file's name in another encoding, becomes a question mark.
+    """
 
     def write(draft: Path) -> None:
-        draft.write_text(text, encoding="utf-8")
+        draft.write_text(text, encoding="utf-8", errors="replace")
 
     replace_atomically(path, write)
 

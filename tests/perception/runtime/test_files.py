@@ -71,6 +71,12 @@ def test_text_is_utf_8_whatever_the_locale(tmp_path: Path) -> None:
     assert (tmp_path / "page.html").read_bytes() == "Gehäuse · ═".encode()
 
 
+def test_the_name_of_a_file_in_another_encoding_can_be_written(tmp_path: Path) -> None:
+    name = os.fsdecode(b"W\xednkel.stl")
+    write_atomically(tmp_path / "page.html", f"the part {name}")
+    assert (tmp_path / "page.html").read_text(encoding="utf-8") == "the part W?nkel.stl"
+
+
 def test_a_writer_that_writes_nothing_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         replace_atomically(tmp_path / "note.txt", lambda draft: None)
