@@ -30,6 +30,7 @@ MAX_FRICTION = 2.0  # rubber on dry concrete reaches 1; what exceeds this is a p
 MAX_HAND_EYE_MM = 15.0  # [mm]; the limit of `CameraConfig.hand_eye`
 MAX_HAND_EYE_DEG = 3.0  # [deg]; about the limit of `CalibrationConfig.rotation`
 _LEAST_MM = 10.0  # sides that are all at least as long are no metres [m]
+_CAMERA_MM = 100.0  # no camera is so far from a bin: such a distance is no metres [m]
 _PEDESTAL_HALF = 0.09  # half the side of the robot's pedestal, which stands at the world's origin [m]
 # The arguments of an environment that hold other options: what may not be given beside them.
 _IN_CAMERA = ("camera_distance", "width", "height", "backend", "hand_eye_mm")
@@ -76,6 +77,11 @@ class CellOptions:
         if not floor < self.camera_distance < np.inf:
             raise ValueError(
                 f"camera_distance must exceed {floor:g} m (0.2 m or the bin's height), got {self.camera_distance:g} m"
+            )
+        if self.camera_distance >= _CAMERA_MM:
+            raise ValueError(
+                f"camera_distance must be in metres, got {self.camera_distance:g} m, which seems to be millimetres: "
+                "divide it by 1000"
             )
         if not 0 <= self.hand_eye_mm <= MAX_HAND_EYE_MM:
             raise ValueError(f"hand_eye_mm must be from 0 to {MAX_HAND_EYE_MM:g} mm, got {self.hand_eye_mm}")

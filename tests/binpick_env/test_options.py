@@ -177,6 +177,10 @@ def test_the_symmetry_tolerance_of_a_file_arrives(tmp_path: Path, cache: Path) -
         ({"jaw": 0.0}, r"jaw must be over 0 and at most 0\.085 m, the 2F-85's stroke, got 0\.0"),
         ({"jaw": 0.14}, r"jaw must be over 0 and at most 0\.085 m, the 2F-85's stroke, got 0\.14"),
         ({"camera_distance": 0.1}, r"camera_distance must exceed 0\.2 m \(0\.2 m or the bin's height\), got 0\.1 m"),
+        (
+            {"camera_distance": 900.0},
+            "camera_distance must be in metres, got 900 m, which seems to be millimetres: div",
+        ),
         ({"bin": (0.3, 0.2, 0.5), "camera_distance": 0.4}, r"camera_distance must exceed 0\.5 m .*, got 0\.4 m"),
         ({"width": 8}, "the image must be at least 16 x 16, got 8 x 960"),
         ({"height": 8}, "the image must be at least 16 x 16, got 1280 x 8"),
