@@ -162,13 +162,15 @@ def test_a_thin_part_that_lies_a_little_in_the_floor_is_in_the_bin(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wall", [0.005, 0.01])
-def test_thin_plates_do_not_fall_through_a_thin_floor(wall: float) -> None:
+@pytest.mark.parametrize(("wall", "height"), [(0.005, 0.12), (0.01, 0.12), (0.02, 0.4)])
+def test_thin_plates_do_not_fall_through_a_floor(wall: float, height: float) -> None:
     plate = trimesh.creation.box((0.06, 0.04, 0.001))
     part = _assemble(
         Design(name="plate", mesh=plate, pieces=(plate.copy(),), density=2700.0, symmetry=Symmetry()), source="plate"
     )
-    simulation = Simulation(replace(CellConfig(), bin=BinConfig(wall=wall)), part, COUNT)
+    simulation = Simulation(
+        replace(CellConfig(), bin=BinConfig(inner_size=(0.36, 0.26, height), wall=wall)), part, COUNT
+    )
     for seed in range(3):
         drop(simulation, seed)
 
