@@ -195,8 +195,8 @@ class _Search:
                 near.deviation * 1e3,
                 self.tolerance * 1e3,
             )
-        if len(found) > 1:
-            log.info("%d rotations map the part onto itself; orders above %d are unsearched", len(found), MAX_ORDER)
+        group = f"{len(found)} rotations map" if len(found) > 1 else "no rotation maps"
+        log.info("%s the part onto itself; orders above %d are unsearched", group, MAX_ORDER)
 
     def _is_round(self, axis: Floats) -> bool:
         golden = np.pi * (3 - np.sqrt(5))  # multiples of the golden angle avoid every polygon's own steps

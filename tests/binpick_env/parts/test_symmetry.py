@@ -139,6 +139,17 @@ def test_a_near_symmetry_is_said_with_its_error(caplog: pytest.LogCaptureFixture
     assert detect_symmetry(bar, SymmetrySettings(metres=0.0005)).order == 8
 
 
+def test_orders_beyond_the_search_are_said_to_be_unsearched_where_nothing_is_found(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    corner = trimesh.Trimesh(
+        [(0, 0, 0), (0.05, 0, 0), (0, 0.03, 0), (0, 0, 0.02)], [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    )
+    with caplog.at_level(logging.INFO):
+        assert detect_symmetry(corner).order == 1
+    assert "no rotation maps the part onto itself; orders above 36 are unsearched" in caplog.text
+
+
 def test_the_nearest_symmetry_is_found_with_its_angle_and_deviation() -> None:
     nearly = trimesh.creation.box((0.05, 0.049, 0.02))
     found = detect_symmetry(nearly)
