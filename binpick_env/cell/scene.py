@@ -14,6 +14,7 @@ from binpick_env.cell.robot import add_pedestal, robot_spec
 from binpick_env.config import BinConfig, CellConfig, ContactConfig
 from binpick_env.parts.part import Part
 from perception.geometry import Floats, make_transform, quat_from_matrix
+from perception.part import PartModel
 
 VISIBLE, COLLISION = 2, 3
 LEAST_DEPTH = 0.02  # least depth of a floor for contacts [m]; thin parts fall through shallower ones
@@ -103,7 +104,7 @@ def _add_box(spec: mujoco.MjSpec, box: _OpenBox, contact: ContactConfig) -> None
 
 
 def _add_parts(spec: mujoco.MjSpec, part: Part, num_parts: int, contact: ContactConfig) -> None:
-    contact = contact_of(part, contact, spec.option.timestep)
+    contact = contact_of(part.model, contact, spec.option.timestep)
     _add_mesh(spec, "part", part.model.mesh)
     for k, piece in enumerate(part.pieces):
         _add_mesh(spec, f"part/piece_{k}", piece)
@@ -132,18 +133,18 @@ def _add_parts(spec: mujoco.MjSpec, part: Part, num_parts: int, contact: Contact
             _apply(geom, contact)
 
 
-def contact_of(part: Part, contact: ContactConfig, timestep: float) -> ContactConfig:
+def contact_of(model: PartModel, contact: ContactConfig, timestep: float) -> ContactConfig:
     """Return the contacts of a part. Thin parts have the stiffest that a time step allows.
 
     A part that lands sinks in by about 0.35 of its speed times the contacts' time constant: 7 mm at 2 m/s and 10 ms.
     Plates of 5 mm would pass through each other and stay crossed, so that one is picked with the other.
 
     Args:
-        part: Part of the pile.
+        model: Kind of part.
         contact: Contacts of everything else.
         timestep: Time step of the physics [s], of which MuJoCo needs two to resolve a contact.
     """
-    thickness = float(part.model.mesh.bounding_box_oriented.primitive.extents.min())
+    thickness = float(model.mesh.bounding_box_oriented.primitive.extents.min())
     constant, damping = contact.solref
     if thickness >= THIN or not 0 < 2 * timestep < constant:
         return contact

@@ -5,15 +5,17 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from binpick_env.camera.depth_camera import DepthCamera
 from binpick_env.cell import robot
 from binpick_env.cell.robot import ARM_JOINTS, GRIPPER_ACTUATOR, TCP_SITE, robot_spec
-from binpick_env.cell.scene import HIGH_DEPTH, LEAST_DEPTH, cell_spec, parking_poses
+from binpick_env.cell.scene import HIGH_DEPTH, LEAST_DEPTH, THIN, cell_spec, contact_of, parking_poses
 from binpick_env.cell.simulation import Simulation
-from binpick_env.config import BinConfig, CameraConfig, CellConfig, RobotConfig, TrayConfig
+from binpick_env.config import BinConfig, CameraConfig, CellConfig, ContactConfig, RobotConfig, TrayConfig
 from binpick_env.parts import CATALOGUE, Part, load_part
 from perception.geometry import matrix_from_quat, transform_points
+from perception.part import PartModel
 from tests.binpick_env.small_cell import centred, small_simulation
 
 
@@ -73,6 +75,22 @@ def test_meshes_are_where_the_part_frame_puts_them(part: Part, model: mujoco.MjM
         found = world_vertices(model, data, f"part_1/{name}")
         wanted = transform_points(pose, np.asarray(mesh.vertices))
         np.testing.assert_allclose(np.sort(found, axis=0), np.sort(wanted, axis=0), atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("thickness", "constant", "timestep", "expected"),
+    [
+        (THIN - 1e-4, 0.01, 0.002, 0.004),
+        (THIN - 1e-4, 0.01, 0.001, 0.002),
+        (THIN - 1e-4, 0.003, 0.002, 0.003),  # stiffer by choice
+        (THIN - 1e-4, -1000.0, 0.002, -1000.0),  # a stiffness in place of a time constant
+        (THIN + 1e-4, 0.01, 0.002, 0.01),
+    ],
+)
+def test_thin_parts_have_stiff_contacts(thickness: float, constant: float, timestep: float, expected: float) -> None:
+    model = PartModel.from_mesh("plate", trimesh.creation.box((0.06, 0.04, thickness)))
+    contact = ContactConfig(solref=(constant, 0.9))
+    assert contact_of(model, contact, timestep) == replace(contact, solref=(expected, 0.9))
 
 
 def test_parking_places_are_apart_and_out_of_view() -> None:
