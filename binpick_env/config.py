@@ -137,7 +137,7 @@ class ContactConfig:
 
     condim: int = 6  # MuJoCo's dimension of contacts: 6 has sliding, torsional and rolling friction
     friction: tuple[float, float, float] = (0.5, 0.005, 0.0002)  # coefficients: sliding [-], torsional [m], rolling [m]
-    solref: tuple[float, float] = (0.01, 1.0)  # time constant [s] and damping ratio of contacts
+    solref: tuple[float, float] = (0.01, 1.0)  # time constant [s] and damping ratio of contacts; thin parts: stiffer
     solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)  # impedance; MuJoCo's default
     joint_damping: float = 1e-4  # damping of the parts' free joints [N s/m and N m s]
     sleep_tolerance: float = 1e-2  # velocity below which an island of parts falls asleep [m/s, length-weighted rad/s]
