@@ -5,7 +5,7 @@ The processes run on one machine; another scheduler would map :func:`evaluate_bi
 
 import json
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from perception.runtime.records import RecordError
 from perception.runtime.threads import one_core
 from policies.evaluation.bin_evaluation import BinError, evaluate_bin
 from policies.evaluation.cell import CellCache, CellFactory, scripted_cell
+from policies.evaluation.conditions import flat_settings
 from policies.evaluation.config import EvaluationConfig, bin_seed
 from policies.evaluation.listeners import BinListener, ListenerFactory
 from policies.evaluation.records import BinRecord, load_record, record_path, save_record
@@ -141,7 +142,8 @@ def _other_network(given: dict[str, str] | None, stored: dict[str, str] | None) 
     return f"weights: {there} there, {here} here"
 
 
-def _differences(given: dict[str, object], stored: dict[str, object]) -> str:
+def _differences(given: Mapping[str, object], stored: Mapping[str, object]) -> str:
+    given, stored = flat_settings(given), flat_settings(stored)
     names = sorted(name for name in {*given, *stored} if given.get(name) != stored.get(name))
     return ", ".join(f"{name}: {stored.get(name)} there, {given.get(name)} here" for name in names) or "the part's file"
 

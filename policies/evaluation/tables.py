@@ -140,7 +140,7 @@ def _times(summary: Summary) -> list[str]:
     return [
         f"an attempt    sense {number(t['sense'], 2)} s (nominal)   compute {number(t['compute'], 2)} s (wall)   "
         f"motion {number(t['motion'], 2)} s (simulated)",
-        f"concurrent    {number(t['concurrent'], 2)} s of sense and compute pass during the motion before",
+        f"concurrent    {number(t['concurrent'], 2)} s of sense and compute pass while the attempt before ends",
         f"wall clock    {number(wall['attempt'], 2)} s an attempt, {number(wall['bin'], 1)} s a bin, "
         f"{percent(wall['render_share'])} of it rendering ({summary.camera_backend})",
     ]

@@ -15,6 +15,7 @@ _NAMES = {
     "gsr": "GSR, grasp success [%]",
     "dr": "DR, parts delivered [%]",
     "mpph": "MPPH, picks per hour",
+    "mpph_overlapped": "MPPH overlapped",
     "ap": "AP, segmentation [%]",
     "candidate_pose_accuracy": "pose accuracy, poses right [%]",
     "candidate_precision": "precision of candidates [%]",
@@ -88,7 +89,7 @@ def _cells(key: str, numbers: Difference) -> list[str]:
 
 def _formats(key: str) -> tuple[Callable[[float | None], str], Callable[[float | None], str]]:
     """Return how a number and its differences are written."""
-    digits, unit = (0, 1.0) if key == "mpph" else (1, 100.0)
+    digits, unit = (0, 1.0) if key.startswith("mpph") else (1, 100.0)
 
     def show(value: float | None) -> str:
         return "–" if value is None else f"{unit * value:.{digits}f}"

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 from binpick_env.jobs.report_style import figure, tag
-from binpick_env.jobs.text_tables import fine, number, percent
+from binpick_env.jobs.text_tables import counted, fine, number, percent
 from policies.evaluation.frame_record import CandidateRecord
 from policies.evaluation.records import BinRecord, PickRecord
 from policies.grasping.outcomes import GraspOutcome
@@ -150,7 +150,7 @@ def _facts(record: BinRecord, pick: PickRecord) -> str:
     candidate = record.candidate(pick)
     if candidate is None:
         frame = record.frame(pick.frame_id)
-        return "" if frame is None else f", {len(frame.candidates)} candidates"
+        return "" if frame is None else f", {counted(len(frame.candidates), 'candidate')}"
     return f"<br>{escape(candidate_words(candidate))}"
 
 

@@ -84,7 +84,7 @@ def _headline(summary: Summary) -> str:
     time = summary.time
     parts = " + ".join(f"{name} {number(time[name], 2)}" for name in ("sense", "compute", "motion"))
     parts += " s"
-    saved = f"{number(time['concurrent'], 2)} s of sense and compute during the motion before"
+    saved = f"{number(time['concurrent'], 2)} s of sense and compute while the attempt before ends"
     mpph, overlapped, motion = (summary.intervals[key] for key in ("mpph", "mpph_overlapped", "motion_dph"))
     tiles = [
         _rate_tile("GSR · grasp success", summary.gsr_rate, "attempts"),

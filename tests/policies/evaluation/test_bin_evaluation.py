@@ -16,6 +16,7 @@ from policies.evaluation.jobs import FolderError, Job, run_job
 from policies.evaluation.records import BinRecord, load_record, record_path, save_record
 from policies.evaluation.tables import found_note
 from policies.grasping.outcomes import Abstention, DoubleCheck, GraspOutcome, PickResult
+from policies.picking.settings import PickerSettings
 from tests.policies.fake_cell import FakeEnv, ScriptPicker, abstain, attempt, broken_cell, dice_cell, pushed
 
 CONFIG = EvaluationConfig(num_parts=(6, 6))
@@ -272,6 +273,13 @@ def test_another_configuration_in_the_folder_is_refused(tmp_path: Path) -> None:
     run_job(CONFIG, Job(out=tmp_path, bins=1), make_cell=dice_cell)
     other = dataclasses.replace(CONFIG, seed=1, sensor="none")
     with pytest.raises(FolderError, match=r"seed: 0 there, 1 here, sensor: good there, none here.*--out"):
+        run_job(other, Job(out=tmp_path, bins=1), make_cell=dice_cell)
+
+
+def test_of_nested_settings_only_those_that_differ_are_named(tmp_path: Path) -> None:
+    run_job(CONFIG, Job(out=tmp_path, bins=1), make_cell=dice_cell)
+    other = dataclasses.replace(CONFIG, picker=PickerSettings(standoff=0.05))
+    with pytest.raises(FolderError, match=r"evaluation \(picker.standoff: 0.06 there, 0.05 here\); choose"):
         run_job(other, Job(out=tmp_path, bins=1), make_cell=dice_cell)
 
 

@@ -52,6 +52,8 @@ def test_differences_are_those_of_the_pooled_numbers_second_minus_first(save: Sa
     assert dr.high is not None
     assert dr.low <= dr.difference <= dr.high
     assert comparison.numbers["mpph"].difference == pytest.approx(600 * (18 / 20 - 15 / 22))
+    overlapped = comparison.numbers["mpph_overlapped"]
+    assert overlapped.difference == comparison.numbers["mpph"].difference  # nothing is concurrent
     recognition = comparison.numbers["candidate_pose_accuracy"]
     assert (recognition.first, recognition.second) == (4 / 6, 1.0)
     assert comparison.numbers["ap"].difference is None  # nothing is segmented here

@@ -91,7 +91,7 @@ def test_the_page_shows_numbers_attempts_and_failures(report: Callable[..., str]
     text = report(attempt(DELIVERED), attempt(MISSED), abstain())
     for part in ("50.0 %", "1 of 2 attempts", "3 decisions", "30.0", "no candidate", "odd &lt;&amp;&gt; name.stl"):
         assert part in text
-    for part in ("pose accuracy", "failed at grasp", "part 1, score 0.90, off by 0 mm, ", "1 candidates"):
+    for part in ("pose accuracy", "failed at grasp", "part 1, score 0.90, off by 0 mm, ", "1 candidate"):
         assert part in text
 
 
