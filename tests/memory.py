@@ -11,7 +11,7 @@ from typing import Any
 
 GROWTH = 50e6  # growth of the process since memory was last given back, from which more is given back [bytes]
 FILE_GROWTH = 25e6  # the same at the end of a file of tests, when the cells that its tests shared are gone
-AMPLE = 800e6  # size of the process up to which caches are kept and freed memory is left for the next cell [bytes]
+AMPLE = 900e6  # size of the process up to which caches are kept and freed memory is left for the next cell [bytes]
 _MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of mallopt(3)
 _RESIDENT = Path("/proc/self/statm")
 # Caches of cells, of networks and of parts with their tables, by module. Those that hold a few numbers stay.

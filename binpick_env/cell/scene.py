@@ -11,14 +11,13 @@ import numpy as np
 import trimesh
 
 from binpick_env.cell.robot import add_pedestal, robot_spec
-from binpick_env.config import BinConfig, CellConfig, ContactConfig
+from binpick_env.config import CellConfig, ContactConfig
 from binpick_env.parts.part import Part
 from perception.geometry import Floats, make_transform, quat_from_matrix
 from perception.part import PartModel
 
 VISIBLE, COLLISION = 2, 3
 LEAST_DEPTH = 0.02  # least depth of a floor for contacts [m]; thin parts fall through shallower ones
-HIGH_DEPTH = 0.1  # the same below walls that are higher than the standard bin's, over which parts gain more speed [m]
 THIN = 0.012  # thickness under which parts have stiff contacts, so that they do not pass through each other [m]
 PART = "part_"  # bodies are part_0, part_1, ...
 BIN_BODY, TRAY_BODY, TABLE_GEOM = "bin", "tray", "table"
@@ -86,7 +85,6 @@ def _add_box(spec: mujoco.MjSpec, box: _OpenBox, contact: ContactConfig) -> None
     length, width, height = box.inner_size
     long, short, high = length / 2, width / 2, height / 2
     wall, half = box.wall, box.wall / 2
-    depth = LEAST_DEPTH if height <= BinConfig().inner_size[2] else HIGH_DEPTH
     sides = {
         "floor": ([long + wall, short + wall, half], [0, 0, -half]),
         "wall_x+": ([half, short + wall, high], [long + half, 0, high]),
@@ -96,9 +94,9 @@ def _add_box(spec: mujoco.MjSpec, box: _OpenBox, contact: ContactConfig) -> None
     }
     for side, (size, pos) in sides.items():
         geom = body.add_geom(name=f"{box.name}/{side}", type=_BOX, size=size, pos=pos, rgba=box.rgba, group=VISIBLE)
-        if side == "floor" and wall < depth:
+        if side == "floor" and wall < LEAST_DEPTH:
             geom.contype = geom.conaffinity = 0
-            size, pos = [size[0], size[1], depth / 2], [0, 0, -depth / 2]
+            size, pos = [size[0], size[1], LEAST_DEPTH / 2], [0, 0, -LEAST_DEPTH / 2]
             geom = body.add_geom(name=f"{box.name}/floor_contact", type=_BOX, size=size, pos=pos, group=COLLISION)
         _apply(geom, contact)
 

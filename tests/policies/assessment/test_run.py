@@ -13,6 +13,7 @@ from binpick_env.options import CellOptions
 from perception.segmentation import weights
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.weights import GENERAL, save_network
+from policies.assessment import advice
 from policies.assessment import run as assessment_run
 from policies.assessment.assessment import save_assessment
 from policies.assessment.config import AssessmentConfig
@@ -121,7 +122,8 @@ def test_a_cube_in_a_narrow_bin_needs_another_bin(tmp_path: Path) -> None:
 
 
 def test_a_part_that_slips_needs_another_jaw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It weighs twice what a UR5e may carry, so that the arm would stop before the part slips."""
+    """It weighs twice what a UR5e may carry; the arm here carries it, and does not stop before the part slips."""
+    monkeypatch.setattr(advice, "PAYLOAD", 20.0)
     monkeypatch.setattr(ProtectiveStop, "trips", lambda _: False)
     run = assessed(tmp_path, (120, 70, 70), Told(), density=19000.0)
     picking = run.assessment.findings.picking
