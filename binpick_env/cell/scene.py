@@ -15,6 +15,7 @@ from binpick_env.config import CellConfig, ContactConfig
 from binpick_env.parts.part import Part
 from perception.geometry import Floats, make_transform, quat_from_matrix
 from perception.part import PartModel
+from perception.thickness import part_thickness
 
 VISIBLE, COLLISION = 2, 3
 LEAST_DEPTH = 0.02  # least depth of a floor for contacts [m]; thin parts fall through shallower ones
@@ -142,9 +143,8 @@ def contact_of(model: PartModel, contact: ContactConfig, timestep: float) -> Con
         contact: Contacts of everything else.
         timestep: Time step of the physics [s], of which MuJoCo needs two to resolve a contact.
     """
-    thickness = float(model.mesh.bounding_box_oriented.primitive.extents.min())
     constant, damping = contact.solref
-    if thickness >= THIN or not 0 < 2 * timestep < constant:
+    if part_thickness(model) >= THIN or not 0 < 2 * timestep < constant:
         return contact
     return replace(contact, solref=(2 * timestep, damping))
 

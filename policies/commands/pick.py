@@ -62,7 +62,7 @@ class Arguments(CellArguments):
         """Return what the numbers depend on.
 
         Raises:
-            ValueError: The largest tilt is not over 0 and at most 90 degrees, or a setting refuses its option.
+            ValueError: The largest tilt is not over 0 and at most 90 degrees, or the number of restarts is negative.
         """
         from binpick_env.observation.oracle import PoseNoise
         from policies.evaluation.config import EvaluationConfig
@@ -75,6 +75,8 @@ class Arguments(CellArguments):
 
         if not 0 < self.max_tilt_deg <= 90:
             raise ValueError(f"max_tilt_deg must be over 0 and at most 90 degrees, got {self.max_tilt_deg}")
+        if self.ik_restarts < 0:
+            raise ValueError(f"ik_restarts must be at least 0, got {self.ik_restarts}")
         picker = PickerSettings(
             rank=RankSettings(max_tilt=radians(self.max_tilt_deg)),
             ik=IkSettings(restarts=self.ik_restarts),

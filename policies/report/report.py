@@ -82,8 +82,7 @@ def write_report(path: Path, summary: Summary, records: Sequence[BinRecord], pic
 
 def _headline(summary: Summary) -> str:
     time = summary.time
-    parts = " + ".join(f"{name} {number(time[name], 2)}" for name in ("sense", "compute", "motion"))
-    parts += " s"
+    parts = " + ".join(f"{name} {number(time[name], 2)}" for name in ("sense", "compute", "motion")) + " s"
     saved = f"{number(time['concurrent'], 2)} s of sense and compute while the attempt before ends"
     mpph, overlapped, motion = (summary.intervals[key] for key in ("mpph", "mpph_overlapped", "motion_dph"))
     tiles = [

@@ -216,5 +216,10 @@ def test_a_tilt_that_is_none_is_refused_in_the_options_unit(degrees: float) -> N
         pick.Arguments(max_tilt_deg=degrees).config()
 
 
+def test_a_negative_number_of_restarts_is_refused_by_its_option() -> None:
+    with pytest.raises(ValueError, match="ik_restarts must be at least 0, got -1"):
+        pick.Arguments(ik_restarts=-1).config()
+
+
 def test_parts_that_others_lie_on_are_avoided_unless_that_is_switched_off() -> None:
     assert pick.Arguments(avoid=False).config().picker == PickerSettings(most_buried=1.0)
