@@ -52,7 +52,7 @@ def drop_and_settle(simulation: Simulation, count: int, rng: np.random.Generator
             waiting = [i for i in range(count) if not inside_bin(simulation)[i]]
             if not waiting:
                 return
-        log.info("pile %d of at most %d with %d parts did not come to rest in the bin", attempt + 1, ATTEMPTS, count)
+        log.warning("pile %d of at most %d with %d parts did not come to rest in the bin", attempt + 1, ATTEMPTS, count)
     raise SettleError(
         f"{counted(count, 'part')} of d_max {simulation.part.model.d_max * 1000:.0f} mm do not come to rest in a bin "
         f"of {simulation.config.bin.inner_size} m; use fewer parts or a larger bin"

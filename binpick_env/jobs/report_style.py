@@ -4,6 +4,8 @@ import base64
 from collections.abc import Sequence
 from html import escape
 
+from binpick_env.jobs.report_glossary import glossary
+
 _COLOURS = """
 :root { color-scheme: light dark; --ink: #1d2330; --soft: #667085; --paper: #f6f7f9; --card: #ffffff; --line: #e3e7ee;
   --good: #1a8f5c; --bad: #d1453b; --idle: #b7791f; --accent: #2f5fd0; --track: #edf0f5; }
@@ -60,6 +62,7 @@ details { margin-top: 10px; } summary { cursor: pointer; color: var(--accent); f
 .strip { display: flex; flex-wrap: wrap; gap: 3px; margin: 10px 0 2px; }
 .strip i { width: 15px; height: 15px; border-radius: 4px; }
 .scroll { overflow-x: auto; } code { font-size: 12.5px; overflow-wrap: anywhere; } .bin { margin-bottom: 14px; }
+dt { font-weight: 600; } dd { margin: 0 0 8px; max-width: 80ch; }
 h3 { font-size: 15px; margin: 16px 0 8px; } h3:first-child { margin-top: 0; }
 .bin h3 { margin: 0 0 8px; font-size: 15px; } .bin h3 span { color: var(--soft); font-weight: 400; }
 """
@@ -67,10 +70,10 @@ h3 { font-size: 15px; margin: 16px 0 8px; } h3:first-child { margin-top: 0; }
 
 
 def page(title: str, body: str, wide: bool = False) -> str:
-    """Return an HTML document; ``wide`` gives rows of pictures more room."""
+    """Return an HTML document that explains its terms at the end; ``wide`` gives rows of pictures more room."""
     head = f"<meta charset='utf-8'><meta name='viewport' content='width=device-width'><title>{escape(title)}</title>"
     head += f"<style>{CSS}</style>"
-    main = f"<main{' class=wide' if wide else ''}>{body}</main>"
+    main = f"<main{' class=wide' if wide else ''}>{body}{glossary(body)}</main>"
     return f"<!doctype html><html lang='en'><head>{head}</head><body>{main}</body></html>\n"
 
 

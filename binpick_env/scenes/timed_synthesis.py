@@ -7,7 +7,7 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from binpick_env.parts.unit import Unit
+from binpick_env.options import CellOptions, scenes_of
 from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config, generate_scenes, with_room
 from perception.runtime.files import json_text, write_atomically
 from perception.segmentation.scene import SCENES_NOTE
@@ -65,16 +65,15 @@ def load_making(path: Path) -> Making | None:
         raise ValueError(f"{path} is damaged ({error!r}); delete it, or choose another folder") from error
 
 
-def fine_tuning_scenes(part: str, unit: Unit | None = None) -> SceneConfig:
+def fine_tuning_scenes(options: CellOptions) -> SceneConfig:
     """Return the configuration of scenes for the training on a single part.
 
     Sensor presets and appearances are drawn for each scene, as for the network for every part.
 
     Args:
-        part: Name of a part, or path of a mesh file.
-        unit: Length unit of a mesh file; the most plausible one by default.
+        options: Part, bin and camera.
     """
-    return SceneConfig(part=part, unit=unit, sensor="all", appearance="varied")
+    return SceneConfig(**scenes_of(options), sensor="all", appearance="varied")
 
 
 def make_scenes(

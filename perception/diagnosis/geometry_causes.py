@@ -18,6 +18,7 @@ _SMALLER = {
     1e-6: "be in micrometres",
 }
 _LARGER = {1e3: "have been divided by 1000 once too often", 1e2: "have been divided by 100 too often"}
+_IMPERIAL = {0.0254: "be in inches", 0.3048: "be in feet"}  # values that might be metres, too
 _LARGEST_BIN = 10.0  # length [m] of no bin; no bin is 10 mm long either
 _OFF_CENTRE = 1.25  # ratio of the principal point and the middle of the image from which K is another image's
 _FITS = 0.5  # share of the measurements that lie in the box if the bin is where it is said to be
@@ -72,7 +73,7 @@ def geometry_causes(samples: DepthSamples, setup: Setup, poses_found: bool) -> t
         text = f"inner_size is {size} m: it seems to be in millimetres; divide it by 1000 (--bin on the command line)"
         causes.append(Cause(name="inner_size_unit", text=text))
     if not poses_found:
-        for check in (_camera_matrix, _poses):
+        for check in (_imperial, _camera_matrix, _poses):
             found = check(samples, setup)
             if found is not None:
                 causes.append(found[0])
@@ -90,11 +91,26 @@ def _depth_unit(samples: DepthSamples, setup: Setup, median: float) -> tuple[Set
     fits = [each.fit(samples).inside for each in setups]
     best = int(np.argmax(fits)) if max(fits) >= _FITS else 0
     scale, seems = list(scales.items())[best]
-    text = (
+    return setups[best], _unit_text(median, scale, seems)
+
+
+def _imperial(samples: DepthSamples, setup: Setup) -> tuple[Cause, Setup] | None:
+    """Suspect inches or feet if what is measured where the bin should be fills its box only in one of them."""
+    if setup.scale != 1.0 or setup.fit(samples).inside >= _MISFIT:
+        return None
+    for scale, seems in _IMPERIAL.items():
+        other = replace(setup, scale=scale)
+        if other.fit(samples).inside >= _FITS:
+            median = float(np.median(samples.depth[samples.measured(samples.depth)]))
+            return Cause(name="depth_unit", text=_unit_text(median, scale, seems)), other
+    return None
+
+
+def _unit_text(median: float, scale: float, seems: str) -> str:
+    return (
         f"the median depth is {median:.4g} m: the depth seems to {seems}; multiply it by {scale:g} "
         f"(--depth-scale on the command line, {scale:g} of what it is)"
     )
-    return setups[best], text
 
 
 def _no_depth(which: str) -> Cause:

@@ -12,13 +12,17 @@ from perception.bin import Trust
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartArguments:
-    """What lies in which bin."""
-
+class _WhichPart:
     # part_a, part_b, part_c, tee, bracket, generated:FAMILY:INDEX, or the path of an STL, OBJ, PLY, OFF, GLB, 3MF or
     # STEP file
     part: str = "tee"
     unit: Unit | None = None  # length unit of a part file's coordinates; metres or millimetres, guessed, unless given
+
+
+@dataclass(frozen=True, kw_only=True)
+class PileArguments:
+    """What a pile in the bin depends on, besides the part."""
+
     symmetry: Literal["detect", "none"] = "detect"  # rotational symmetry of a part file; none: ignore it
     # largest deviation of a part file's surface from itself under a symmetry [m]; 0.5 % of its diameter unless given
     symmetry_tolerance: float | None = None
@@ -26,6 +30,22 @@ class PartArguments:
     # length, width, height inside the bin [m], or one word in mm such as 360x260x120; 0.36 0.26 0.12 unless given
     bin: tuple[float, float, float] | None = None
     friction: float | None = None  # sliding friction coefficient of parts, bin and tray; 0.5 unless given
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraArguments:
+    """What takes the frames."""
+
+    camera_distance: float = 0.9  # distance of the camera from the bin's floor [m]
+    width: int = 1280  # width of the camera's image [px]
+    height: int = 960  # height of the camera's image [px]
+    # renderer of the camera's frames; raster and rays give the same frames, rays is slower; egl needs a GL driver
+    backend: Backend = "raster"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartArguments(PileArguments, _WhichPart):
+    """What lies in which bin."""
 
     def options(self) -> CellOptions:
         """Return the options of the cell.
@@ -37,14 +57,8 @@ class PartArguments:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneArguments(PartArguments):
+class SceneArguments(CameraArguments, PartArguments):
     """What lies in which bin under which camera."""
-
-    camera_distance: float = 0.9  # distance of the camera from the bin's floor [m]
-    width: int = 1280  # width of the camera's image [px]
-    height: int = 960  # height of the camera's image [px]
-    # renderer of the camera's frames; raster and rays give the same frames, rays is slower; egl needs a GL driver
-    backend: Backend = "raster"
 
     def options(self) -> CellOptions:
         """Return the options of the cell; see `PartArguments.options`."""

@@ -2,13 +2,15 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from binpick_env.options import CellOptions
 from binpick_env.parts.label import part_label
 from binpick_env.parts.unit import Unit
 from perception.segmentation.training.choices import PresetName
+from policies.commands.cell_arguments import CameraArguments, PileArguments
 from policies.commands.command_line import exit_code, parse
 
 if TYPE_CHECKING:
@@ -22,17 +24,21 @@ PLOT = "ap.svg"  # file beside the log: average precision against minutes
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
-    """Train a segmentation network on the scenes of one part, one network for several, or one for every part.
-
-    The training on one part makes the scenes itself where there are too few, and with preset ours it starts from the
-    network for every part. The same command resumes where it was stopped. Under torchrun, several processes train
-    together.
-    """
-
+class _WhichParts:
     # parts that the network is for; generated: a network for every part, from scenes of generated parts
     part: tuple[str, ...] = ("tee",)
     unit: Unit | None = None  # length unit of part files' coordinates; guessed from the part's size unless given
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(CameraArguments, PileArguments, _WhichParts):
+    """Train a segmentation network on the scenes of one part, one network for several, or one for every part.
+
+    The training on one part makes the scenes itself where there are too few, and with preset ours it starts from the
+    network for every part. The options of bin and camera are those of the scenes that it makes. The same command
+    resumes where it was stopped. Under torchrun, several processes train together.
+    """
+
     # folders of generate-scenes to train on; runs/scenes-PART-0 of each part unless given
     scenes: tuple[Path, ...] = ()
     # folders of generate-scenes to evaluate on; the first scenes of each folder unless given
@@ -91,6 +97,16 @@ class Arguments:
     def fine_tunes(self) -> bool:
         """Whether the network for one part starts from trained weights."""
         return self.of_one_part and self.preset == "ours" and self.initial != "none"
+
+    def options(self) -> CellOptions:
+        """Return the cell in which scenes of the first part are made.
+
+        Raises:
+            ValueError: An option has no meaning.
+        """
+        names = {field.name for kind in (CameraArguments, PileArguments) for field in fields(kind)}
+        given = {name: getattr(self, name) for name in names}
+        return CellOptions(part=self.part[0], unit=self.unit, **given)
 
     def start(self) -> Path | None:
         """Return the weights that the training starts from, or None for random ones."""

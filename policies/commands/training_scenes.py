@@ -7,6 +7,7 @@ from tqdm import tqdm
 
 from binpick_env.cell.settle import SettleError
 from binpick_env.jobs.text_tables import counted
+from binpick_env.options import CellOptions
 from binpick_env.parts.part import load_part
 from binpick_env.scenes.timed_synthesis import (
     Making,
@@ -67,11 +68,23 @@ def _needed(args: "Arguments") -> bool:
         raise ValueError(f"count must be at least 1, got {args.count}")
     if args.held_out < 0:  # as `split_scenes` does, but before scenes are made
         raise ValueError(f"held_out must not be negative, got {args.held_out}")
+    options = args.options()
+    chosen = options != CellOptions(part=options.part, unit=options.unit)
     if not args.of_one_part or args.scenes:
+        if chosen:
+            raise ValueError(
+                "options of pile and camera are for scenes that the training makes, of one part and without --scenes: "
+                "leave them out here, and give them to binpick generate-scenes"
+            )
         return False
     paths = _scenes(args)
     if paths:
         _require_unit(args, paths[0])
+        if chosen and not holds_scenes_of(fine_tuning_scenes(options), _folder(args)):
+            raise ValueError(
+                f"{_folder(args)} holds scenes of another pile or camera than these options say: delete it, or give "
+                "the options to binpick generate-scenes with another --out and name that folder with --scenes"
+            )
     making = load_making(args.folder() / STATE)
     if making is not None and args.count is None:
         return not making.done or not paths  # scenes that were deleted are made again
@@ -82,7 +95,7 @@ def _wanted(args: "Arguments") -> int:
     """Return the number of scenes below which more are made: that of the budget if those that are there are alike."""
     if args.count is not None:
         return args.count
-    alike = holds_scenes_of(fine_tuning_scenes(args.part[0], args.unit), _folder(args))
+    alike = holds_scenes_of(fine_tuning_scenes(args.options()), _folder(args))
     return scene_budget(args).most if alike else _fewest(args)
 
 
@@ -126,7 +139,7 @@ def _make(args: "Arguments") -> None:
     """Make scenes and show how far that is."""
     budget, folder, before = scene_budget(args), _folder(args), len(_scenes(args))
     print(f"making scenes in {folder}, {_limit(budget, args.minutes)}")
-    made = make_scenes(fine_tuning_scenes(args.part[0], args.unit), folder, budget, args.folder() / STATE, args.workers)
+    made = make_scenes(fine_tuning_scenes(args.options()), folder, budget, args.folder() / STATE, args.workers)
     shape = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
     try:
         with tqdm(total=100, desc="scenes", unit="%", bar_format=shape) as bar:

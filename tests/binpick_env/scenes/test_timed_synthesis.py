@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from binpick_env.options import CellOptions
 from binpick_env.scenes import timed_synthesis as module
 from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config, scene_path, scene_settings, with_room
 from binpick_env.scenes.timed_synthesis import Making, SceneBudget, fine_tuning_scenes, load_making, make_scenes
@@ -36,7 +37,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 def made(tmp_path: Path, least: int = 1, most: int = 100, seconds: float | None = None) -> Iterator[tuple[int, Making]]:
     budget = SceneBudget(least=least, most=most, seconds=seconds)
-    return make_scenes(fine_tuning_scenes("tee"), tmp_path / "scenes", budget, tmp_path / "time.json")
+    return make_scenes(fine_tuning_scenes(CellOptions(part="tee")), tmp_path / "scenes", budget, tmp_path / "time.json")
 
 
 def done(seconds: float, count: int) -> Making:
@@ -74,14 +75,14 @@ def test_least_and_most_bound_the_number(clock: list[float], tmp_path: Path) -> 
 
 
 def test_scenes_of_other_settings_are_not_mixed_in(clock: list[float], tmp_path: Path) -> None:
-    ensure_folder_config(replace(fine_tuning_scenes("tee"), sensor="good"), tmp_path / "scenes")
+    ensure_folder_config(replace(fine_tuning_scenes(CellOptions(part="tee")), sensor="good"), tmp_path / "scenes")
     with pytest.raises(ValueError, match=r"scenes holds too few scenes, and of other settings .* or delete this one"):
         next(made(tmp_path))
     assert files(tmp_path) == 0
 
 
 def test_scenes_of_an_older_version_are_continued(clock: list[float], tmp_path: Path) -> None:
-    config = with_room(fine_tuning_scenes("generated:hex_bolt:0"))
+    config = with_room(fine_tuning_scenes(CellOptions(part="generated:hex_bolt:0")))
     note = scene_settings(config)
     del note["generator"]  # older versions did not write it
     (tmp_path / "scenes").mkdir()

@@ -66,6 +66,16 @@ SPOILED: dict[str, tuple[Callable[[], tuple[Frame, Workspace]], list[str], str]]
         ["depth_unit"],
         "seems to be in centimetres; multiply it by 0.01",
     ),
+    "depth in inches": (
+        lambda: (replace(GOOD, depth=GOOD.depth / np.float32(0.0254)), scene.BIN),
+        ["depth_unit"],
+        "seems to be in inches; multiply it by 0.0254",
+    ),
+    "depth in feet": (
+        lambda: (replace(GOOD, depth=GOOD.depth / np.float32(0.3048)), scene.BIN),
+        ["depth_unit"],
+        "seems to be in feet; multiply it by 0.3048",
+    ),
     "depth divided twice": (
         lambda: (replace(GOOD, depth=GOOD.depth / 1000), scene.BIN),
         ["depth_unit"],
@@ -296,6 +306,7 @@ def test_the_corrected_setup_is_the_true_one(name: str) -> None:
     np.testing.assert_allclose(setup.K, GOOD.K, rtol=0.01)
     np.testing.assert_allclose(setup.T_world_cam, GOOD.T_world_cam, atol=1e-12)
     np.testing.assert_allclose(setup.inner_size, scene.BIN.inner_size)
-    scales = {"millimetres": 1e-3, "tenths of": 1e-4, "centimetres": 1e-2, "divided": 1e3}
+    scales = {"millimetres": 1e-3, "tenths of": 1e-4, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048}
+    scales["divided"] = 1e3
     said = [scale for words, scale in scales.items() if words in name and "inner_size" not in name]
     assert setup.scale == (said[0] if said else 1.0)

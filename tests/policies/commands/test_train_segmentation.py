@@ -24,7 +24,6 @@ from perception.segmentation import weights as weights_module
 from perception.segmentation.scene import SCENES_NOTE
 from perception.segmentation.training import run as run_module
 from perception.segmentation.training.distributed import Place
-from perception.segmentation.training.loop import Length
 from perception.segmentation.training.presets import PRESETS, fine_tuning
 from perception.segmentation.training.run import CHECKPOINT, LOG, WEIGHTS, read_log
 from perception.segmentation.weights import (
@@ -116,13 +115,6 @@ def test_the_unit_of_a_part_file_is_taken(tmp_path: Path, capsys: pytest.Capture
     assert find_weights(part).training == "own"
 
 
-def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
-    args = train.Arguments(part=("bracket",), preset="paper")
-    assert args.length(args.config(), 1000).steps == 100_000
-    assert args.length(args.config(), 1000, world=4).steps == 25_000
-    assert train.Arguments(preset="paper", steps=7).length(args.config(), 1000).steps == 7
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -130,6 +122,11 @@ def test_the_papers_preset_trains_200_epochs_unless_told_otherwise() -> None:
         (["--part", "tee", "screw", "--steps", "1"], "runs/scenes-screw-0 holds no scene_*.npz"),
         (["--part", "screw", "--steps", "1"], "screw"),
         (["--part", "tee", "--steps", "1", "--count", "4"], "runs/scenes-tee-0 holds too few scenes"),
+        (
+            ["--part", "tee", "bracket", "--steps", "1", "--camera-distance", "1.1"],
+            "give them to binpick generate-scenes",
+        ),
+        (["--scenes", "runs/scenes-tee-0", "--steps", "1", "--friction", "1"], "binpick generate-scenes"),
         (["--part", "part_a", "--steps", "1", "--count", "0"], "count must be at least 1, got 0"),
         (["--part", "part_a", "--steps", "1", "--held-out", "-1"], "held_out must not be negative, got -1"),
         (["--part", "part_a", "--minutes", "-1"], "minutes -1.0"),
@@ -243,6 +240,19 @@ def test_more_scenes_are_made_where_those_of_an_earlier_training_are_too_few(
     assert "made 1 scene besides 5 that were there in 0.0 min" in capsys.readouterr().out
 
 
+def test_the_scenes_are_made_in_the_bin_and_under_the_camera_that_are_given(
+    drawn_scenes: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = ("--bin", "400x300x150", "--camera-distance", "1.1", "--friction", "0.3", "--density", "7800")
+    args = parse(train.Arguments, "train", ["--part", "part_a", *place, "--steps", "1", "--count", "2"])
+    scenes_of_training(args, Place())
+    facts = json.loads(Path("runs/scenes-part_a-0", SCENES_NOTE).read_text())
+    assert (facts["bin"], facts["camera"]["distance"]) == ([0.4, 0.3, 0.15], 1.1)
+    assert (facts["friction"], facts["density"]) == (0.3, 7800.0)
+    assert call("--part", "part_a", *place[:-1], "2700", "--steps", "1") == 2
+    assert "runs/scenes-part_a-0 holds scenes of another pile or camera" in capsys.readouterr().err
+
+
 def test_random_weights_get_scenes_too(drawn_scenes: list[int], judged: list[float]) -> None:
     judged += [0.6]
     assert call("--part", "part_a", "--steps", "1", "--count", "4", "--initial", "none") == 0
@@ -319,18 +329,6 @@ def test_a_making_that_was_stopped_goes_on_although_there_are_scenes(
     shutil.rmtree("runs/scenes-part_a-0")
     again = scenes_of_training(args, Place())
     assert (again.done, again.scenes, drawn_scenes) == (True, first.scenes, [4, 4, 4])
-
-
-def test_evaluations_are_a_sixth_of_the_training_apart_from_one_to_ten_minutes() -> None:
-    for length, expected in (
-        (Length(minutes=9.0), 1.5),
-        (Length(minutes=2.0), 1.0),
-        (Length(minutes=600.0), 10.0),
-        (Length(steps=1200), 1200 / 60 / 6),
-        (Length(steps=2), 1.0),
-    ):
-        assert train.Arguments(minutes=1.0).interval(length) == pytest.approx(expected)
-    assert train.Arguments(evaluate_every=0.5).interval(Length(minutes=9.0)) == 0.5
 
 
 @pytest.mark.parametrize(
