@@ -196,10 +196,10 @@ class Simulation:
         return poses[:, :3, :3] @ self.part.model.centre + poses[:, :3, 3]
 
     def part_speeds(self) -> Floats:
-        """Return the (capacity,) speeds of the parts [m/s], that of the rim where it is larger; 0 when asleep."""
+        """Return the (capacity,) speeds [m/s] that no point of a part exceeds: with its spin; 0 when asleep."""
         velocity = self.data.qvel[self._part_dof]
         spin = np.linalg.norm(velocity[:, 3:], axis=1) * self.part.model.d_max / 2
-        speeds: Floats = np.maximum(np.linalg.norm(velocity[:, :3], axis=1), spin)
+        speeds: Floats = np.linalg.norm(velocity[:, :3], axis=1) + spin
         return speeds
 
     def asleep(self) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ import trimesh
 from binpick_env.camera.depth_camera import DepthCamera
 from binpick_env.cell import robot
 from binpick_env.cell.robot import ARM_JOINTS, GRIPPER_ACTUATOR, TCP_SITE, robot_spec
-from binpick_env.cell.scene import LEAST_DEPTH, THIN, cell_spec, contact_of, parking_poses
+from binpick_env.cell.scene import LEAST_DEPTH, LIGHT, THIN, cell_spec, contact_of, parking_poses
 from binpick_env.cell.simulation import Simulation
 from binpick_env.config import BinConfig, CameraConfig, CellConfig, ContactConfig, RobotConfig, TrayConfig
 from binpick_env.parts import CATALOGUE, Part, load_part
@@ -77,6 +77,11 @@ def test_meshes_are_where_the_part_frame_puts_them(part: Part, model: mujoco.MjM
         np.testing.assert_allclose(np.sort(found, axis=0), np.sort(wanted, axis=0), atol=2e-6)
 
 
+def box(thickness: float, mass: float) -> Part:
+    model = PartModel.from_mesh("plate", trimesh.creation.box((0.06, 0.04, thickness)))
+    return replace(load_part("tee"), model=model, mass=mass)
+
+
 @pytest.mark.parametrize(
     ("thickness", "constant", "timestep", "expected"),
     [
@@ -88,9 +93,13 @@ def test_meshes_are_where_the_part_frame_puts_them(part: Part, model: mujoco.MjM
     ],
 )
 def test_thin_parts_have_stiff_contacts(thickness: float, constant: float, timestep: float, expected: float) -> None:
-    model = PartModel.from_mesh("plate", trimesh.creation.box((0.06, 0.04, thickness)))
     contact = ContactConfig(solref=(constant, 0.9))
-    assert contact_of(model, contact, timestep) == replace(contact, solref=(expected, 0.9))
+    assert contact_of(box(thickness, mass=0.2), contact, timestep) == replace(contact, solref=(expected, 0.9))
+
+
+@pytest.mark.parametrize(("mass", "expected"), [(LIGHT - 1e-4, 0.004), (LIGHT, 0.01)])
+def test_light_parts_have_stiff_contacts(mass: float, expected: float) -> None:
+    assert contact_of(box(2 * THIN, mass), ContactConfig(), 0.002).solref[0] == expected
 
 
 def test_parking_places_are_apart_and_out_of_view() -> None:
