@@ -28,6 +28,7 @@ class Simulation:
         model: Compiled model.
         data: State of the model.
         part_of_geom: (ngeom,) part that each geom belongs to, -1 for none.
+        is_robot_geom: (ngeom,) mask of the geoms of arm and gripper.
         in_play: (capacity,) mask of the parts in play.
         target: (6,) last joint targets [rad].
         gripper_target: Last gripper command, 0 open to 1 closed.
@@ -77,7 +78,7 @@ class Simulation:
         part_of_body[self._part_body] = np.arange(self.capacity)
         self.part_of_geom: NDArray[np.int64] = part_of_body[model.geom_bodyid]
         robot = model.body_rootid == model.body("base").id
-        self._is_robot_geom = robot[model.geom_bodyid]
+        self.is_robot_geom: NDArray[np.bool_] = robot[model.geom_bodyid]
         cell = {model.body(BIN_BODY).id, model.body(TRAY_BODY).id}
         self._is_cell_geom = np.isin(model.geom_bodyid, list(cell))
         self._is_cell_geom[model.geom(TABLE_GEOM).id] = True
@@ -363,9 +364,9 @@ class Simulation:
         wrench = np.zeros(6)
         for c in range(self.data.ncon):
             g1, g2 = self.data.contact.geom[c]
-            if self._is_robot_geom[g1] == self._is_robot_geom[g2]:
+            if self.is_robot_geom[g1] == self.is_robot_geom[g2]:
                 continue
-            other = g2 if self._is_robot_geom[g1] else g1
+            other = g2 if self.is_robot_geom[g1] else g1
             mujoco.mj_contactForce(self.model, self.data, c, wrench)
             force += float(np.linalg.norm(wrench[:3]))
             with_cell |= bool(self._is_cell_geom[other])
@@ -375,7 +376,7 @@ class Simulation:
 
     def robot_ends(self) -> NDArray[np.bool_]:
         """Return the (C, 2) mask of the contacts' ends that are the robot's."""
-        return np.array(self._is_robot_geom[self.data.contact.geom[: self.data.ncon]])
+        return np.array(self.is_robot_geom[self.data.contact.geom[: self.data.ncon]])
 
     def part_ends(self) -> NDArray[np.int64]:
         """Return the (C, 2) parts at the contacts' ends, -1 for anything else."""

@@ -46,7 +46,7 @@ class Arguments(CellArguments):
     avoid: bool = True  # pick parts that others seem to lie on only at a second look, and lift them slowly
     max_tilt_deg: float = 50.0  # largest angle between a grasp's approach and the vertical [deg]
     ik_restarts: int = 8  # number of postures that inverse kinematics starts from beside the present one
-    look_ahead: bool = True  # take the next frame with the load over the tray, and perceive it while the arm goes home
+    look_ahead: bool = True  # take the next frame during the carry, and perceive it while the arm goes home
     fresh: bool = False  # compute all bins again, including those that are there
     out: Path | None = None  # folder of the results; runs/pick-PART-PERCEPTION-SEED (or -budget-SEED) unless given
     json: Path | None = None  # JSON file for the numbers; results.json (or budget.json) in the folder unless given

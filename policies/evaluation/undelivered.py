@@ -15,7 +15,8 @@ from perception.geometry import Floats, invert_transform, transform_points
 from policies.evaluation.frame_record import FrameRecord
 from policies.grasping.outcomes import Abstention, GraspCandidate
 from policies.picking.episode import Picker
-from policies.picking.scripted import Plan, ScriptedPicker
+from policies.picking.plan import Plan
+from policies.picking.scripted import ScriptedPicker
 
 
 class LeftReason(StrEnum):

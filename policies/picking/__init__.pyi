@@ -6,6 +6,6 @@ from .execution import Execution as Execution
 from .execution import ExecutionSettings as ExecutionSettings
 from .fast_execution import FastExecution as FastExecution
 from .fast_execution import fast_pickers as fast_pickers
-from .scripted import Plan as Plan
+from .plan import Plan as Plan
 from .scripted import ScriptedPicker as ScriptedPicker
 from .settings import PickerSettings as PickerSettings

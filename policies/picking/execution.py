@@ -1,6 +1,6 @@
 """One attempt, step by step: trajectories, jaw, force limit, and what the outcome depends on."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,7 @@ class ExecutionSettings:
     close_time: float = 0.6  # longest wait for the closing jaw to come to rest
     release_time: float = 0.16  # time in which the jaw opens before the arm leaves
     settle_time: float = 1.5  # longest wait for the released part to be judged
-    # whether the next frame is taken when the load is over the tray, so that it is perceived while the arm goes home
+    # whether the next frame is taken as soon as arm and load are out of sight, to be perceived while the arm goes home
     look_ahead: bool = True
 
 
@@ -40,8 +40,11 @@ class Execution:
         self._settings = settings
         self._commanded: list[Floats] = []  # (6,) joint targets so far, for the way back [rad]
         self._collided = self._put_back = False
+        self._frame_id = env.frame_id
+        self._may_look: Callable[[], bool] | None = None
         self.double = False  # whether the carry ended because more than one part was found in the jaw
-        self.looked_ahead = False  # whether the next frame was taken with the load over the tray
+        self.emptied = False  # whether the jaw was empty at the end of the carry
+        self.looked_ahead = False  # whether the next frame was taken during the carry or over the tray
         self.retraced = False  # whether the arm went back the way that it came, which leads through the bin
         self._held: dict[str, bool] = {}  # whether both pads touched a part when closed, lifted and carried
 
@@ -94,6 +97,9 @@ class Execution:
                     return False
             if k >= lifted and self._carry_kinematically(trajectory, k):
                 break
+            if k > lifted and self._may_look is not None and not self.looked_ahead and self._may_look():
+                self.look_ahead()
+        self.emptied = self._env.simulation.gripper_position >= empty
         self._held["carried"] = bool(self._env.simulation.gripped())
         return True
 
@@ -134,12 +140,17 @@ class Execution:
             last = simulation.gripper_position
         self._held["closed"] = bool(simulation.gripped())
 
-    def look_ahead(self, frame_id: int) -> None:
-        """Take the frame after ``frame_id`` with the load over the tray, unless it is there or is to be taken at home.
+    def look_when(self, may_look: Callable[[], bool]) -> None:
+        """Have the next frame taken during the carry, as soon as ``may_look`` returns True after the lift."""
+        if self._settings.look_ahead:
+            self._may_look = may_look
+
+    def look_ahead(self) -> None:
+        """Take the next frame before the arm is home, unless it is there or is to be taken at home.
 
         A carry that ends at home has led to the frame that is taken there.
         """
-        if self._settings.look_ahead and self._env.frame_id == frame_id and not self._env.truncated:
+        if self._settings.look_ahead and self._env.frame_id == self._frame_id and not self._env.truncated:
             self._env.look(ahead=True)
             self.looked_ahead = True
 

@@ -1,5 +1,6 @@
 """An attempt without physics where the physics cannot matter: on free ways, and at rest."""
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -67,7 +68,10 @@ class FastExecution(Execution):
         self._motion.place(HOME, HOME, 0.0)
         return True
 
-    def look_ahead(self, frame_id: int) -> None:
+    def look_when(self, may_look: Callable[[], bool]) -> None:
+        """Take no frame during the carry."""
+
+    def look_ahead(self) -> None:
         """Take no frame; it is taken when the pile is asleep."""
 
     def await_judgement(self) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.env import BinPickEnv
-from perception.frame import Frame
+from perception.frame import Frame, bin_region
 from perception.geometry import Floats
 from perception.part import PartModel
 from policies.grasping.heightmap import HeightMap
@@ -18,6 +18,7 @@ _FILLED = 0.002  # the same where the picked part was: something that is nearly 
 _ON_TOP = 0.004  # height over the picked part's surface from which a cell shows what lies on it [m]
 _FAR_ABOVE = 0.06  # height above the rim that no heaped pile reaches [m]
 _HIDDEN = 1e-4  # area in that height from which the bin counts as hidden [m^2]
+_CHANGED = 2e-4  # connected area of other depth from which something moved [m^2]; noise changes a quarter of that
 _MARGIN = 0.006  # width around the picked part's outline that is left out [m]: pose errors, and edges
 _CROSS = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
 
@@ -69,14 +70,26 @@ def gone_beside(
     return before.cell**2 * (_area(others & (rise < -_STEP)) - _area(higher))
 
 
-def arm_in_view(env: BinPickEnv, cell: float) -> bool:
-    """Return whether the arm or its load hides a part of the bin in the environment's last frame.
+def bin_changed(env: BinPickEnv, image: Frame, cell: float) -> bool:
+    """Return whether the environment's last frame shows the bin otherwise than a later image does.
+
+    It does so where the arm or its load hides a part of the bin in the frame, too.
 
     Args:
         env: The unwrapped cell.
-        cell: Edge length of a cell of the height map [m].
+        image: Image by the same camera.
+        cell: Edge length of a cell of the frame's height map [m].
     """
-    return _hides_bin(HeightMap.from_frame(env.frame, env.workspace, cell=cell, wall=env.config.bin.wall))
+    frame, workspace = env.frame, env.workspace
+    if _hides_bin(HeightMap.from_frame(frame, workspace, cell=cell, wall=env.config.bin.wall)):
+        return True
+    size = frame.depth.shape[1], frame.depth.shape[0]
+    u0, v0, u1, v1 = bin_region(workspace, frame.K, frame.T_world_cam, size, margin=0.0, headroom=0.0)
+    before, after = (each.depth[v0:v1, u0:u1].astype(np.float64) for each in (frame, image))
+    moved = np.abs(_difference(before, after, (before > 0) & (after > 0))) > _STEP
+    pixels = cv2.connectedComponentsWithStats(cv2.morphologyEx(moved.astype(np.uint8), cv2.MORPH_OPEN, _CROSS))[2]
+    pixel = float(np.median(before)) ** 2 / (frame.K[0, 0] * frame.K[1, 1])  # area that a pixel shows [m^2]
+    return bool(pixels[1:, cv2.CC_STAT_AREA].max(initial=0) * pixel > _CHANGED)
 
 
 def mean_silhouette(part: PartModel) -> float:

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,35 +24,19 @@ from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome,
 from policies.grasping.pushes import Push, find_pushes
 from policies.motion.ik import IkResult
 from policies.motion.path_checker import HeightFunction
-from policies.motion.trajectory import Trajectory
 from policies.picking.attempt_planner import AttemptPlanner, DropPlaces, Press
 from policies.picking.execution import Execution, ExecutionSettings
 from policies.picking.extra_decisions import PER_PART, ExtraDecisions
+from policies.picking.frame_ahead import FrameAhead
 from policies.picking.load_check import LoadCheck
-from policies.picking.load_image import arm_in_view, gone_beside, image_of, mean_silhouette
+from policies.picking.load_image import gone_beside, image_of, mean_silhouette
+from policies.picking.plan import Plan
 from policies.picking.pusher import Pusher
 from policies.picking.settings import PickerSettings
 
 ExecutionMaker = Callable[[BinPickEnv, ExecutionSettings], Execution]
 _WRIST_STREAM = 1  # number of the random stream of what is felt and seen in an attempt; the environment's is not used
 T_SENSE = 0.5  # nominal exposure time of a structured-light camera [s]
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Plan:
-    """A grasp with the motion towards it.
-
-    Attributes:
-        grasp: Grasp on a candidate of the frame that was planned on.
-        q_grasp: (6,) posture in which the pads close [rad].
-        approach: Motion from the arm's position to that posture.
-        frame_id: Number of the frame that was planned on.
-    """
-
-    grasp: GraspCandidate
-    q_grasp: Floats
-    approach: Trajectory
-    frame_id: int
 
 
 class ScriptedPicker:
@@ -98,6 +82,7 @@ class ScriptedPicker:
             raise ValueError(why_no_grasp(env.part.model, jaw=jaw))
         self._planner = AttemptPlanner(env.config, env.part.model, self.gripper, self.settings)
         self._pusher = Pusher(env, self._planner, self.gripper, self.settings)
+        self._ahead = FrameAhead(env, self.settings.rank.cell)
         self.rank_stats = RankStats()
         self._seen: FrameState | None = None  # frame of the last decision
         self._last_scene: ObservedScene | None = None  # scene of the last frame that was asked for
@@ -106,7 +91,7 @@ class ScriptedPicker:
     def with_execution(self, execution: ExecutionMaker) -> "ScriptedPicker":
         """Return a picker that plans the same, executes in another way, and has failed attempts of its own."""
         other = copy(self)
-        other._execution = execution
+        other._execution, other._ahead = execution, copy(self._ahead)
         other.reset()
         return other
 
@@ -116,6 +101,7 @@ class ScriptedPicker:
         self.failed = FailedGrasps(radius=d_max / 4)
         self._extra = ExtraDecisions(radius=d_max / 2)
         self._rng = np.random.default_rng([max(self._env.np_random_seed, 0), _WRIST_STREAM])  # -1: a given generator
+        self._ahead.reset()
         self._wrist = WristForceSensor(self._env.simulation, self.settings.doubles.force, self._rng)
         self._pushed: list[Push] = []  # pushes in this bin
         self._refused: ObservedScene | None = None  # scene of the last decision if it was an abstention
@@ -244,10 +230,10 @@ class ScriptedPicker:
         settings = self.settings.doubles
         check = LoadCheck(env.simulation, self.gripper, plan.grasp.width, settings, self._wrist)
         may_put_back = settings.put_back and self._extra.allows(candidate.centre_world, len(env.candidates) - 1)
+        self._ahead.watch(execution, check)
         planning = self._move(plan, execution, candidate.T_world_part, check, may_put_back)
         execution.await_judgement()
-        if execution.looked_ahead and (execution.retraced or arm_in_view(env, self.settings.rank.cell)):
-            env.look()
+        self._ahead.renew(execution)
         # A part that was out of the bin already, and came to rest only now, belongs to an earlier attempt.
         kinds = [event.kind for event in env.events[events_before:] if event.part not in strays]
         outcome = execution.outcome(kinds)
@@ -344,9 +330,9 @@ class ScriptedPicker:
         double, planning = self._more_is_gone(T_world_part, check)
         if double:
             return planning + self._put_back(plan, execution, T_world_part, check)
-        execution.look_ahead(plan.frame_id)
+        execution.look_ahead()
         execution.release()
-        return planning
+        return planning + self._ahead.compare(execution)
 
     def _more_is_gone(self, T_world_part: Floats, check: LoadCheck) -> tuple[bool, float]:
         """Look over the tray, out of the camera's view, whether more than the part is gone from the bin, if need be.

@@ -10,7 +10,7 @@ import numpy as np
 from binpick_env.jobs.text_tables import columns
 from policies.evaluation.statistics import Rate, rate
 from policies.grasping.outcomes import GraspOutcome
-from policies.picking.scripted import Plan
+from policies.picking.plan import Plan
 from policies.selection.candidate_generator import CandidateGenerator
 from policies.selection.env import GraspSelectionEnv
 

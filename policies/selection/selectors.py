@@ -14,7 +14,8 @@ from perception.geometry import Floats
 from policies.grasping.clearance import RankSettings
 from policies.grasping.outcomes import Abstention, PickResult
 from policies.picking.episode import BinResult, run_bin
-from policies.picking.scripted import T_SENSE, Plan, ScriptedPicker
+from policies.picking.plan import Plan
+from policies.picking.scripted import T_SENSE, ScriptedPicker
 from policies.selection.candidate_generator import PER_PART, GraspCandidates, Observation
 from policies.selection.candidate_picker import CandidatePicker
 from policies.selection.env import GraspSelectionEnv

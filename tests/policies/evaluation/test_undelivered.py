@@ -15,7 +15,8 @@ from policies.evaluation.frame_record import record_frame
 from policies.evaluation.records import BinRecord, load_record, save_record
 from policies.evaluation.undelivered import LeftReason, LossWatch, UndeliveredPart, left_parts
 from policies.grasping.outcomes import Abstention, GraspCandidate
-from policies.picking.scripted import Plan, ScriptedPicker
+from policies.picking.plan import Plan
+from policies.picking.scripted import ScriptedPicker
 from tests.policies.fake_cell import ScriptPicker, bin_result, candidate, grasp, labelled_capture
 
 LEFT = UndeliveredPart(part=1, position=(0.1, 0.0, 0.02), visible_fraction=0.5, reason=LeftReason.NOT_TRIED)

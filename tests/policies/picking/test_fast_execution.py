@@ -118,7 +118,8 @@ def test_no_frame_is_taken_over_the_tray(kinematic: tuple[BinPickEnv, KinematicM
     env, motion = kinematic
     env.reset(seed=0)
     execution = FastExecution(env, ExecutionSettings(look_ahead=True), motion)
-    execution.look_ahead(env.frame_id)
+    execution.look_when(lambda: True)
+    execution.look_ahead()
     assert (env.frame_id, execution.looked_ahead) == (0, False)
 
 

@@ -8,12 +8,13 @@ import pytest
 import trimesh
 
 from binpick_env.camera.depth_camera import default_pose
+from binpick_env.config import CameraConfig, SensorPreset
 from perception.frame import Frame, Workspace
 from perception.geometry import camera_matrix, make_transform
 from perception.part import PartModel
 from policies.grasping.heightmap import HeightMap
 from policies.grasping.observed_scene import ObservedScene
-from policies.picking.load_image import arm_in_view, gone_beside, image_of, mean_silhouette
+from policies.picking.load_image import bin_changed, gone_beside, image_of, mean_silhouette
 from tests.binpick_env.small_cell import small_env
 
 WORKSPACE = Workspace(T_world_bin=make_transform(translation=(0.5, 0.1, 0.02)), inner_size=np.array([0.3, 0.2, 0.1]))
@@ -129,10 +130,22 @@ def test_an_image_shows_the_bin_now_and_leaves_the_frame() -> None:
     assert env.np_random.bit_generator.state == state
 
 
-@pytest.mark.parametrize(("height", "in_view"), [(0.03, False), (0.4, True)])
-def test_what_is_far_above_the_bin_is_the_arm(height: float, in_view: bool) -> None:
+@pytest.mark.parametrize(("height", "changed"), [(0.03, False), (0.4, True)])
+def test_a_frame_in_which_the_arm_hides_the_bin_is_outdated(height: float, changed: bool) -> None:
+    """What is far above the bin can only be the arm."""
     env = small_env()
     env.reset(seed=0)
     env.simulation.place(0, env.workspace.T_world_bin @ make_transform(translation=(0.0, 0.0, height)))
     env.look()
-    assert arm_in_view(env, 0.002) is in_view
+    assert bin_changed(env, image_of(env, np.random.default_rng(0)), 0.002) is changed
+
+
+@pytest.mark.parametrize("sensor", ["good", "harsh", "stereo", "tof"])
+@pytest.mark.parametrize(("moved", "changed"), [(0.0, False), (0.02, True)])
+def test_a_frame_is_outdated_where_a_part_has_moved(sensor: SensorPreset, moved: float, changed: bool) -> None:
+    env = small_env(sensor=sensor, camera=CameraConfig(width=640, height=480))
+    env.reset(seed=0)
+    pose = env.simulation.part_poses()[0]
+    pose[:3, 3] += (0.0, moved, 0.0)
+    env.simulation.move(0, pose)
+    assert bin_changed(env, image_of(env, np.random.default_rng(0)), 0.002) is changed

@@ -1,4 +1,4 @@
-"""The frame that is taken with the load over the tray, and the time that it saves."""
+"""The frame that is taken while the load is carried away, and the time that it saves."""
 
 from dataclasses import replace
 
@@ -7,9 +7,12 @@ import pytest
 
 from binpick_env.cell.robot import HOME
 from binpick_env.env import MAX_EPISODE_STEPS, BinPickEnv
+from perception.geometry import make_transform
 from policies.grasping.outcomes import GraspOutcome, PickResult
-from policies.picking import scripted
+from policies.picking import frame_ahead
+from policies.picking.bin_view import BinView
 from policies.picking.execution import Execution, ExecutionSettings
+from policies.picking.load_check import LoadCheck
 from policies.picking.scripted import T_SENSE, ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import SMALL_IMAGE, Blind, HandCell, lie
@@ -31,23 +34,48 @@ def two_picks(env: BinPickEnv, settings: PickerSettings | None = None) -> tuple[
     return cell, [*results, cell.picker.pick()], age
 
 
-def test_the_next_frame_is_taken_with_the_load_over_the_tray(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def looks(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bool, bool, bool]]:
+    """Return for each frame that is taken ahead whether a part is held, whether the arm is away, and is out of view."""
     seen = []
     real = BinPickEnv.look
 
     def look(env: BinPickEnv, **options: bool) -> object:
         simulation = env.simulation
         if options.get("ahead"):
-            seen.append((bool(simulation.gripped()), float(np.abs(simulation.joint_positions - HOME).max())))
+            away = float(np.abs(simulation.joint_positions - HOME).max()) > 0.25
+            seen.append((bool(simulation.gripped()), away, BinView(env).clear()))
         return real(env, **options)
 
     monkeypatch.setattr(BinPickEnv, "look", look)
+    return seen
+
+
+def test_the_next_frame_is_taken_during_the_carry(env: BinPickEnv, looks: list[tuple[bool, bool, bool]]) -> None:
     _, (first, second), age = two_picks(env)
     assert first.outcome is second.outcome is GraspOutcome.DELIVERED
     assert second.frame_id == first.frame_id + 1  # no other frame is taken at home
-    assert seen[0][0]
-    assert seen[0][1] > 0.25
-    assert 0.3 < age < first.t_motion
+    assert looks[0] == (True, True, True)
+    assert 1.15 < age < first.t_motion
+
+
+def test_where_the_arm_is_never_out_of_sight_the_frame_is_taken_over_the_tray(
+    env: BinPickEnv, looks: list[tuple[bool, bool, bool]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(frame_ahead.BinView, "clear", lambda _: False)
+    _, (first, second), age = two_picks(env)
+    assert (second.frame_id, looks[0][:2]) == (first.frame_id + 1, (True, True))
+    assert 0.3 < age < 1.05
+
+
+def test_no_frame_is_taken_during_the_carry_where_an_image_has_to_tell_a_double(
+    env: BinPickEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    monkeypatch.setattr(LoadCheck, "needs_image", property(lambda _: True))
+    monkeypatch.setattr(frame_ahead.BinView, "clear", lambda _: asked.append(True))
+    two_picks(env)
+    assert asked == []
 
 
 def test_what_is_computed_while_the_arm_moves_is_told(env: BinPickEnv) -> None:
@@ -74,10 +102,32 @@ def test_without_looking_ahead_frames_are_taken_at_home(env: BinPickEnv) -> None
     assert age < 0.3  # the wait for the judgement, at home
 
 
-def test_a_frame_with_the_arm_in_view_is_taken_again_at_home(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scripted, "arm_in_view", lambda *_: True)
+def test_a_frame_of_a_bin_that_has_changed_is_taken_again_at_home(
+    env: BinPickEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(frame_ahead, "bin_changed", lambda *_: True)
     _, (first, second), age = two_picks(env)
     assert (second.frame_id, age, second.t_concurrent) == (first.frame_id + 2, 0.0, 0.0)
+
+
+def test_a_frame_is_taken_again_after_a_load_was_lost_on_the_way(
+    env: BinPickEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = HandCell(env, ScriptedPicker(env))
+    cell.lay(cell.flat(0.05), cell.flat(-0.08, yaw=0.6))
+    real = BinPickEnv.look
+
+    def look(env: BinPickEnv, **options: bool) -> object:
+        seen = real(env, **options)
+        if options.get("ahead"):  # the part slips out of the jaw and lies on the table
+            held = int(np.argmax(env.simulation.part_centres()[:, 2] * env.simulation.in_play))
+            env.simulation.move(held, make_transform(translation=(-0.5, 0.0, 0.05)))
+        return seen
+
+    monkeypatch.setattr(BinPickEnv, "look", look)
+    first = cell.picker.pick()
+    assert first.outcome is not GraspOutcome.DELIVERED
+    assert (env.frame_id, env.episode.frame.time) == (first.frame_id + 2, env.simulation.time)
 
 
 def test_a_carry_that_ends_at_home_leads_to_one_frame(env: BinPickEnv, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,7 +143,7 @@ def test_a_carry_that_ends_at_home_leads_to_one_frame(env: BinPickEnv, monkeypat
 def test_no_frame_is_taken_when_the_episode_is_over(env: BinPickEnv) -> None:
     env.reset(seed=0)
     env.skip(MAX_EPISODE_STEPS)
-    Execution(env, ExecutionSettings()).look_ahead(env.frame_id)
+    Execution(env, ExecutionSettings()).look_ahead()
     assert env.frame_id == 0
 
 

@@ -13,7 +13,8 @@ from binpick_env.config import CellConfig, RobotConfig
 from binpick_env.env import BinPickEnv
 from policies.grasping.outcomes import GraspOutcome
 from policies.picking.fast_execution import fast_pickers
-from policies.picking.scripted import Plan, ScriptedPicker
+from policies.picking.plan import Plan
+from policies.picking.scripted import ScriptedPicker
 from tests.policies.hand_cell import SMALL_IMAGE, HandCell, hand_cell
 
 JAW = 0.05

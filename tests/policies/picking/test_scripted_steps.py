@@ -15,7 +15,8 @@ from policies.grasping.outcomes import Abstention, GraspCandidate, GraspOutcome
 from policies.motion.ik_settings import IkSettings
 from policies.motion.planner import StraightLegs, Tool
 from policies.picking.attempt_planner import AttemptPlanner
-from policies.picking.scripted import Plan, ScriptedPicker
+from policies.picking.plan import Plan
+from policies.picking.scripted import ScriptedPicker
 from policies.picking.settings import PickerSettings
 from tests.policies.hand_cell import SMALL_IMAGE, HandCell
 

@@ -17,7 +17,7 @@ from perception.geometry import Floats
 from policies.grasping.clearance import RankSettings
 from policies.grasping.outcomes import Abstention, GraspOutcome
 from policies.picking.episode import Termination
-from policies.picking.scripted import Plan
+from policies.picking.plan import Plan
 from policies.picking.settings import PickerSettings
 from policies.selection.candidate_generator import ROWS
 from policies.selection.env import ABSTAINED, GraspSelectionEnv

@@ -10,7 +10,7 @@ import pytest
 from binpick_env.env import BinPickEnv
 from policies.evaluation.records import BinRecord
 from policies.grasping.outcomes import Abstention, GraspOutcome, PickResult
-from policies.picking.scripted import Plan
+from policies.picking.plan import Plan
 from policies.selection.candidate_generator import CandidateGenerator
 from policies.selection.hindsight import TRIED, HindsightPicker, HindsightTally, hindsight_tally
 from policies.selection.selectors import SelectorPicker, WeightedSelector

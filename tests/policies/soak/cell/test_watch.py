@@ -80,7 +80,7 @@ def test_the_energy_of_a_turning_part_is_that_of_its_mass_points(simulation: Sim
 def test_parts_are_driven_through_other_parts_but_not_through_the_floor(simulation: Simulation) -> None:
     driven = DrivenParts(simulation)
     geoms = [np.flatnonzero(simulation.part_of_geom == i)[0] for i in range(3)]
-    robot = int(np.flatnonzero(simulation._is_robot_geom)[0])
+    robot = int(np.flatnonzero(simulation.is_robot_geom)[0])
     floor = simulation.model.geom("bin/floor").id
     driven._pairs = [np.array([(robot, geoms[0]), (geoms[1], geoms[0]), (geoms[0], floor), (geoms[2], floor)])]
     assert driven.mask().tolist() == [True, True, False]
