@@ -100,7 +100,7 @@ TERMS: tuple[tuple[str, str, str], ...] = (
     (
         "Score",
         r"\bscore\b",
-        "Of a pose: how well the frame agrees with it, from 0 to 1. Of a grasp: the sum that ranks it.",
+        "Of a pose: the probability that it is right, from 0 to 1. Of a grasp: the sum that ranks it.",
     ),
 )
 _TAG = re.compile(r"<[^>]*>")

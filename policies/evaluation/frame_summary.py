@@ -4,7 +4,7 @@ The frames of a bin show the same parts again and again; therefore, intervals co
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -191,3 +191,9 @@ def _errors(frames: Sequence[FrameRecord]) -> dict[str, float | None]:
 
 def _stages(frames: Sequence[FrameRecord]) -> list[str]:
     return list(dict.fromkeys(name for frame in frames for name in frame.ms))
+
+
+def causes_text(causes: Mapping[str, int], frames: int) -> str:
+    """Return the likely causes of lost parts in words, and in how many of all frames each was found."""
+    counts = ", ".join(f"{name.replace('_', ' ')} in {count}" for name, count in causes.items())
+    return f"{counts} of {frames} frames"

@@ -47,6 +47,9 @@ def bootstrap_mean(values: ArrayLike, rng: np.random.Generator, resamples: int =
     return bootstrap_ratio(values, np.ones_like(values), rng, resamples)
 
 
+FEWEST_BINS = 5  # number of bins from which an interval from resampling whole bins is shown
+
+
 def bootstrap_ratio(
     numerators: ArrayLike, denominators: ArrayLike, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> tuple[float, float]:

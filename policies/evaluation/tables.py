@@ -8,8 +8,9 @@ import numpy as np
 from binpick_env.jobs.text_tables import WIDTH, counted, fine, number, percent, spread
 from binpick_env.parts import Part
 from policies.evaluation.conditions import GIVEN, conditions, given_numbers
+from policies.evaluation.frame_summary import causes_text
 from policies.evaluation.records import BinRecord
-from policies.evaluation.statistics import Interval
+from policies.evaluation.statistics import FEWEST_BINS, Interval
 from policies.evaluation.summary import Summary
 
 _BAR = 24
@@ -113,8 +114,7 @@ def _perception(summary: Summary) -> list[str]:
         f"poses off by  {fine(error['mm'])} mm, {fine(error['deg'])} deg (medians){note}",
     ]
     if summary.frame_causes:
-        counts = ", ".join(f"{name} in {count}" for name, count in summary.frame_causes.items())
-        lines.append(f"causes        {counts} of {summary.frames} frames")
+        lines.append(f"causes        {causes_text(summary.frame_causes, summary.frames)}")
     if summary.perception_ms:
         stages = ", ".join(f"{name} {ms:.0f}" for name, ms in summary.perception_ms.items())
         lines.append(f"a frame       {sum(summary.perception_ms.values()):.0f} ms: {stages} (medians)")
@@ -158,6 +158,8 @@ def _counts(title: str, counts: dict[str, int], total: int) -> list[str]:
 
 
 def _over_bins(summary: Summary) -> list[str]:
+    if summary.bins < FEWEST_BINS:
+        return [f"over bins     from {FEWEST_BINS} bins on, 95 % intervals from resampling whole bins are shown"]
     gsr, dr = (_interval(summary.intervals[key]) for key in ("gsr_bins", "dr_bins"))
     return [f"over bins     95 % intervals from resampling whole bins: GSR {gsr}, DR {dr}"]
 

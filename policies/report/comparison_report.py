@@ -10,6 +10,7 @@ from binpick_env.jobs.text_tables import WIDTH, columns, counted
 from perception.runtime.files import write_atomically
 from policies.evaluation.comparison import BinComparison, Comparison, Difference
 from policies.evaluation.conditions import GIVEN
+from policies.evaluation.statistics import FEWEST_BINS
 
 _NAMES = {
     "gsr": "GSR, grasp success [%]",
@@ -24,8 +25,9 @@ _NAMES = {
 _HEADER = ("", "A", "B", "B - A", "95 % of B - A")
 _BIN_HEADER = ("bin", "parts", "delivered A", "delivered B", "GSR A", "GSR B", "end A", "end B")
 NOTE = (
-    "Numbers are pooled over the bins that both runs have; intervals are a paired bootstrap over those bins. MPPH "
-    f"contains the wall clock of the computer. {GIVEN}: the ground truth was given, so that nothing was measured."
+    "Numbers are pooled over the bins that both runs have; intervals are a paired bootstrap over those bins, from "
+    f"{FEWEST_BINS} bins on. MPPH contains the wall clock of the computer. {GIVEN}: the ground truth was given, so "
+    "that nothing was measured."
 )
 
 
@@ -74,15 +76,16 @@ def _notes(comparison: Comparison) -> list[str]:
 
 
 def _rows(comparison: Comparison) -> list[list[str]]:
-    return [[_NAMES[key], *_cells(key, difference)] for key, difference in comparison.numbers.items()]
+    enough = len(comparison.bins) >= FEWEST_BINS
+    return [[_NAMES[key], *_cells(key, difference, enough)] for key, difference in comparison.numbers.items()]
 
 
-def _cells(key: str, numbers: Difference) -> list[str]:
+def _cells(key: str, numbers: Difference, enough: bool) -> list[str]:
     show, signed = _formats(key)
     first = GIVEN if "first" in numbers.given else show(numbers.first)
     second = GIVEN if "second" in numbers.given else show(numbers.second)
     interval = "–"
-    if numbers.low is not None and numbers.high is not None:
+    if enough and numbers.low is not None and numbers.high is not None:
         interval = f"{signed(numbers.low)} to {signed(numbers.high)}"
     return [first, second, signed(numbers.difference), interval]
 
@@ -95,7 +98,7 @@ def _formats(key: str) -> tuple[Callable[[float | None], str], Callable[[float |
         return "–" if value is None else f"{unit * value:.{digits}f}"
 
     def signed(value: float | None) -> str:
-        return "–" if value is None else f"{unit * value:+.{digits}f}"
+        return "–" if value is None else f"{round(unit * value, digits) + 0.0:+.{digits}f}"  # no -0.0
 
     return show, signed
 

@@ -11,6 +11,7 @@ from binpick_env.jobs.report_style import bars, figure, page, table, tag, tile
 from binpick_env.jobs.text_tables import counted, fine, number, percent, spread
 from perception.runtime.files import write_atomically
 from policies.evaluation.conditions import GIVEN, conditions, flat_settings, given_numbers
+from policies.evaluation.frame_summary import causes_text
 from policies.evaluation.records import BinRecord, PickRecord
 from policies.evaluation.statistics import Interval, Rate
 from policies.evaluation.summary import Summary
@@ -34,6 +35,7 @@ COLUMNS = (
     "concurrent [s]",
     "frame",
 )
+_RANGES = ("num_parts",)  # settings that are the least and the largest value
 _ENDS = {"empty": "emptied", "2F": "two failures in a row", "abstained": "nothing left to try", "time": "out of time"}
 
 
@@ -122,6 +124,8 @@ def _perception(summary: Summary) -> str:
     note = f"{counted(summary.frames, 'frame')} that decisions were made on" + (
         f"; a frame's medians [ms]: {stages}" if stages else ""
     )
+    if summary.frame_causes:
+        note += f"; likely causes of lost parts: {escape(causes_text(summary.frame_causes, summary.frames))}"
     return f"<h2>Perception in the same bins</h2><p>{note}.</p><div class='grid tiles'>{''.join(tiles)}</div>"
 
 
@@ -129,7 +133,7 @@ def _perception_tile(summary: Summary, name: str, key: str, note: str) -> str:
     """Return a tile of a number of perception; one that the ground truth determined is labelled as given."""
     value, interval = getattr(summary, key), summary.intervals[key]
     if given := _given_note(summary, key):
-        return tile(name, GIVEN, given if value is None else f"{given} · {percent(value)} {note}")
+        return tile(name, GIVEN, given if value is None else f"{given} · {percent(value)}, {note}")
     bounds = None if value is None or interval is None else (*interval, value)
     return tile(name, percent(value), f"{note}{_spread(interval)}", bounds)
 
@@ -139,7 +143,10 @@ def _given_note(summary: Summary, key: str) -> str:
     perception = summary.config["perception"]
     if key not in given_numbers(perception):
         return ""
-    return "not measured: true segments" if perception == "gt_masks" else "not measured: true poses, with noise if any"
+    if perception == "gt_masks":
+        return "not measured: true segments"
+    noise = any(summary.config["pose_noise"].values())
+    return f"not measured: true poses{' with noise' if noise else ''}"
 
 
 def _spread(interval: Interval | None) -> str:
@@ -223,7 +230,8 @@ def _settings(config: Mapping[str, Any]) -> str:
     cell = CellConfig()
     standard = {"bin": cell.bin.inner_size, "jaw": GRIPPER_STROKE, "friction": cell.contact.friction[0]}
     values = {name: standard.get(name) if value is None else value for name, value in config.items()}
-    rows = [[escape(name), f"<code>{escape(_words(value))}</code>"] for name, value in flat_settings(values).items()]
+    words = {name: _words(value, name in _RANGES) for name, value in flat_settings(values).items()}
+    rows = [[escape(name), f"<code>{escape(value)}</code>"] for name, value in words.items()]
     note = "Lengths in m, angles in rad, times in s, unless a name says otherwise."
     shown = table(("setting", "value"), rows, words=(0, 1))
     return (
@@ -232,10 +240,13 @@ def _settings(config: Mapping[str, Any]) -> str:
     )
 
 
-def _words(value: Any) -> str:
+def _words(value: Any, is_range: bool) -> str:
+    """Return a setting as text, numbers with six digits."""
     if value is None:
         return "default"
-    return " x ".join(f"{each}" for each in value) if isinstance(value, list | tuple) else f"{value}"
+    if isinstance(value, list | tuple):
+        return (" to " if is_range else " x ").join(_words(each, is_range) for each in value)
+    return f"{value:g}" if isinstance(value, float) else f"{value}"
 
 
 def _provenance(summary: Summary) -> str:

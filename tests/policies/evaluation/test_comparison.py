@@ -78,6 +78,13 @@ def test_what_the_ground_truth_gave_is_not_compared(save: Save) -> None:
     assert [line.split()[-4:-1] for line in lines if line.startswith("recall")] == [["75.0", "given", "–"]]
 
 
+@pytest.mark.parametrize(("bins", "interval"), [(4, "–"), (5, "+0.0")])
+def test_intervals_over_few_bins_are_not_shown(save: Save, bins: int, interval: str) -> None:
+    run = load_run(save("a", *[(5, 5)] * bins))
+    lines = comparison_table(compare_runs(run, run)).splitlines()
+    assert next(line.split() for line in lines if line.startswith("GSR"))[-1] == interval
+
+
 def test_bins_of_one_run_alone_are_left_out_and_named(save: Save) -> None:
     comparison = compare_runs(load_run(save("a", (1, 1), (2, 0), (3, 0))), load_run(save("b", (1, 1))))
     assert comparison.left_out == (1, 2)

@@ -90,6 +90,12 @@ def test_the_time_of_pushes_counts_and_they_are_no_attempts(records: list[BinRec
     assert "pushes" not in result_table(without)
 
 
+@pytest.mark.parametrize(("bins", "shown"), [(4, "from 5 bins on"), (5, "GSR 100.0 to 100.0 %")])
+def test_intervals_over_few_bins_are_not_printed(bins: int, shown: str) -> None:
+    table = result_table(summary_of([record(index, attempt(DELIVERED)) for index in range(bins)]))
+    assert shown in next(line for line in table.splitlines() if line.startswith("over bins"))
+
+
 def test_what_the_detectors_of_doubles_said_is_counted_and_printed() -> None:
     double = DoubleCheck(jaw_excess=0.0, load=2.0, jaw=False, weight=True, held=2)
     lifts = [replace(attempt(DELIVERED), double_check=replace(double, held=1, weight=False, load=1.0))] * 3

@@ -13,6 +13,7 @@ import pytest
 from binpick_env.jobs.report_style import tile
 from binpick_env.jobs.text_tables import fine
 from binpick_env.observation.observed_candidates import ObservedCandidates
+from binpick_env.observation.oracle import PoseNoise
 from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.frame_record import FrameRecord, SegmentTable, record_frame
 from policies.evaluation.records import BinRecord
@@ -184,7 +185,24 @@ def test_what_the_ground_truth_gave_is_labelled(report: Callable[..., str], perc
     tiles = dict(re.findall(r"<div class='card tile'><span>([^<·]*?)(?: ·[^<]*)?</span><b>([^<]*)</b>", text))
     assert {name for name, value in tiles.items() if value == "given"} - {"precision", "pose errors"} == given
     assert tiles["DR"] == "0.0 %"
-    assert ("not measured: true poses" in text) == (perception == "oracle")
+    assert ("not measured: true poses · " in text) == (perception == "oracle")
+
+
+def test_noise_of_given_poses_is_said(report: Callable[..., str]) -> None:
+    noisy = replace(CONFIG, perception="oracle", pose_noise=PoseNoise(translation=0.001))
+    assert "not measured: true poses with noise" in report(attempt(MISSED), config=noisy)
+
+
+def test_likely_causes_of_lost_parts_are_on_the_page(report: Callable[..., str]) -> None:
+    text = report(attempt(MISSED), frames=[replace(compared(), causes=("floor_height",))])
+    assert "likely causes of lost parts: floor height in 1 of 1 frames" in text
+
+
+def test_settings_are_written_as_ranges_or_sizes_with_few_digits(report: Callable[..., str]) -> None:
+    text = report(attempt(MISSED), config=replace(CONFIG, num_parts=(20, 25)))
+    shown = dict(re.findall(r"<td>([a-z_.]+)</td><td><code>([^<]*)</code>", text))
+    assert (shown["num_parts"], shown["bin"]) == ("20 to 25", "0.36 x 0.26 x 0.12")
+    assert max(len(value) for name, value in shown.items() if "tilt" in name) <= 8
 
 
 def test_every_average_precision_is_in_per_cent(report: Callable[..., str]) -> None:
