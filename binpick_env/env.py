@@ -260,7 +260,7 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
 
     @property
     def remaining(self) -> int:
-        """Number of parts in play: in the bin, in the gripper, or in the tray and not judged yet."""
+        """Number of parts in play, which are in the bin, in the gripper, or in the tray and not judged yet."""
         return int(self.simulation.in_play.sum())
 
     @property

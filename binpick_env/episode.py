@@ -143,7 +143,7 @@ class EpisodeProperties:
 
     @property
     def observed(self) -> ObservedCandidates:
-        """What perception made of the last frame: pose candidates, and the segments and poses behind them."""
+        """Pose candidates that perception found in the last frame, and the segments and poses behind them."""
         return self.episode.frame.observed
 
     @property

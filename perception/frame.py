@@ -66,7 +66,7 @@ class Frame:
 
     @property
     def has_grey(self) -> bool:
-        """Whether the grey image shows anything: not if all its pixels are alike."""
+        """Whether the grey image shows anything, which it does unless all its pixels are alike."""
         return bool(self.grey.size and np.any(self.grey != self.grey.flat[0]))
 
     @cached_property

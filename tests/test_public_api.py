@@ -111,3 +111,17 @@ def test_arguments_are_described_so_that_they_are_understood_without_their_names
 def test_programs_offer_nothing_to_import() -> None:
     for name in ("policies.commands", "policies.benchmarks.peers"):
         assert getattr(importlib.import_module(name), "__all__", []) == []
+
+
+def test_no_property_begins_with_what_the_reference_would_show_as_a_type() -> None:
+    """Napoleon takes the words before a colon in a property's first line for its type."""
+    found, count = [], 0
+    for path in SOURCES:
+        for name, function in functions(path):
+            if any(re.search(r"property$", ast.unparse(decorator)) for decorator in function.decorator_list):
+                count += 1
+                line = (ast.get_docstring(function) or "").partition("\n")[0]
+                if ":" in re.sub(r":\w+:`", "`", line):  # a reference such as :func:`name` is none
+                    found.append(f"{path.relative_to(ROOT)} {name}: {line}")
+    assert count > 100
+    assert found == []

@@ -35,7 +35,7 @@ class LabelledCapture:
 
     @cached_property
     def T_reported_parts(self) -> Floats:
-        """(N, 4, 4) part poses as seen from the camera's reported pose: the best that perception can know."""
+        """(N, 4, 4) part poses as seen from the camera's reported pose, the best that perception can know."""
         reported, true = self.capture.frame.T_world_cam, self.capture.T_world_cam
         if not np.array_equal(reported[:3, :3], true[:3, :3]):
             T_reported_true = reported @ invert_transform(true)

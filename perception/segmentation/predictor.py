@@ -137,7 +137,7 @@ class SegmentationPredictor:
 
     @property
     def needs_surface(self) -> bool:
-        """Whether the network sees the surface besides the points: the image-plane network does."""
+        """Whether the network sees the surface besides the points, as the image-plane network does."""
         return isinstance(self.network, GridNet)
 
     def predict(

@@ -40,7 +40,7 @@ class Arguments(CellArguments):
 
     @property
     def named(self) -> str:
-        """Part that is assessed: the positional argument, or ``--part``."""
+        """Part that is assessed, given as the positional argument or by ``--part``."""
         return self.part if self.file is None else self.file
 
     def options(self) -> "CellOptions":

@@ -160,7 +160,7 @@ class BinRecord:
 
     @property
     def timed(self) -> tuple[PickRecord, ...]:
-        """The decisions whose time counts in rates per hour: attempts, pushes, and abstentions that moved the arm."""
+        """The attempts, pushes, and abstentions that moved the arm, whose time counts in rates per hour."""
         return tuple(pick for pick in self.picks if pick.abstention is None or pick.t_motion > 0)
 
     def frame(self, frame_id: int) -> FrameRecord | None:

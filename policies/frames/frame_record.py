@@ -46,7 +46,7 @@ class FrameRecord:
 
     @property
     def poses(self) -> list[tuple[PoseEstimate, bool]]:
-        """Best pose of each group with whether it is verified: verified ones first, then by score."""
+        """Best pose of each group with whether it is verified, verified ones first, then by score."""
         verified = {id(pose) for pose in self.seen.poses}
         others = [pose for pose in self.seen.estimates if pose is not None and id(pose) not in verified]
         others.sort(key=lambda pose: -pose.score)
@@ -54,13 +54,13 @@ class FrameRecord:
 
     @property
     def workspace(self) -> Workspace | None:
-        """The bin that limited the poses: as it was measured, else as it was believed to be; None if none did."""
+        """The bin that limited the poses, as it was measured or else as it was believed to be; None if none did."""
         found = self.seen.bin is not None and self.seen.bin.reliable
         return self.seen.workspace if found or self.perceiver.workspace is not None else None
 
     @property
     def T_world_cam(self) -> Floats:
-        """(4, 4) pose of the camera: that of the frame, or the one that the bin corrected."""
+        """(4, 4) pose of the camera, that of the frame or the one that the bin corrected."""
         return self.frame.T_world_cam if self.seen.T_world_cam is None else self.seen.T_world_cam
 
     def values(self) -> Values:

@@ -66,7 +66,7 @@ class MethodConfig:
 
     @property
     def grouping_distance(self) -> float:
-        """Distance below which points share a group: the embedding threshold, or the radius of "euclidean" [m]."""
+        """Distance below which points share a group, either of embeddings or, for "euclidean", a radius [m]."""
         if self.kind == "euclidean":
             return self.radius
         default = GroupMergingConfig if self.grouping == "merging" else GroupingConfig

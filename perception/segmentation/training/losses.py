@@ -56,7 +56,7 @@ class PairLossConfig:
 
     @property
     def threshold(self) -> float:
-        """Distance below which two points are similar: K1 as in SGPN, or the mean of M1 and M2."""
+        """Distance below which two points are similar, K1 as in SGPN or the mean of M1 and M2."""
         return self.other if self.kind == "double_hinge" else (self.same + self.other) / 2
 
 

@@ -50,7 +50,7 @@ class TrainingConfig:
 
     @property
     def kind(self) -> Literal["grid", "cloud", "context"]:
-        """Kind of samples that the network takes: crops of the grid, clouds of points, or crops of clouds."""
+        """Kind of samples that the network takes (crops of the grid, clouds of points, or crops of clouds)."""
         if isinstance(self.network, ContextNetConfig):
             return "context"
         return "grid" if isinstance(self.network, GridNetConfig) else "cloud"

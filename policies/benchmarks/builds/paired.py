@@ -33,7 +33,7 @@ class PairedTimes:
 
     @property
     def ratio(self) -> float:
-        """Median over the inputs of the time before by the time after: 3 means three times as fast."""
+        """Median over the inputs of the time before by the time after, where 3 means three times as fast."""
         return float(np.median(self._ratios()))
 
     @property
