@@ -5,7 +5,7 @@ set -euo pipefail
 dir=$(mktemp -d)
 trap 'rm -rf "$dir"' EXIT
 python3.11 -m venv "$dir/venv"
-"$dir/venv/bin/pip" install --quiet --disable-pip-version-check mink==1.3.0 mujoco==3.17.0 numpy==2.4.6 "qpsolvers[daqp]==4.13.0" daqp==0.11.0 2> /dev/null
+"$dir/venv/bin/pip" install -qq --disable-pip-version-check mink==1.3.0 mujoco==3.17.0 numpy==2.4.6 "qpsolvers[daqp]==4.13.0" daqp==0.11.0 || { echo "the packages could not be installed" >&2; exit 2; }
 
 cat > "$dir/run.py" <<'PY'
 from importlib.metadata import version

@@ -5,7 +5,7 @@ set -euo pipefail
 dir=$(mktemp -d)
 trap 'rm -rf "$dir"' EXIT
 python3.11 -m venv "$dir/venv"
-"$dir/venv/bin/pip" install --quiet --disable-pip-version-check trimesh==5.2.0 numpy==2.4.6 2> /dev/null
+"$dir/venv/bin/pip" install -qq --disable-pip-version-check trimesh==5.2.0 numpy==2.4.6 || { echo "the packages could not be installed" >&2; exit 2; }
 
 cat > "$dir/run.py" <<'PY'
 import io
