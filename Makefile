@@ -68,7 +68,7 @@ docs: $(VENV)/.dev-stamp  ## the site, in docs/_build, without a network
 bench: $(VENV)/.run-stamp  ## a benchmark: make bench BENCH=cell ARGS='--save FILE'
 	$(BIN)/binpick bench $(BENCH) $(ARGS)
 
-picture: $(VENV)/.run-stamp  ## the README's pictures
+picture: $(VENV)/.run-stamp  ## the pictures of README.md and of docs/explanation/method.md
 	$(BIN)/binpick picture --part tee --seed 0 --out docs/images/cell.png
 	$(BIN)/binpick picture --show segmentation --part tee --seed 7 --out docs/images/segmentation.png
 	$(BIN)/binpick picture --show poses --part tee --seed 7 --out docs/images/poses.png

@@ -101,6 +101,9 @@ def leave_out_signature(
     return ("", returned) if what == "class" and getattr(kind, "_is_protocol", False) else None
 
 
+_NUMBER = r"[-+−]?\d[\d.]*"
+# An interval, a count of a whole, or a number with its unit.
+_FIGURE = re.compile(rf"\({_NUMBER} to {_NUMBER}\)|{_NUMBER} (?:of|to|/) {_NUMBER}(?: %)?|{_NUMBER} (?:%|mm|ms|s|m)(?!\w)")
 _TAGS = r"(?:</?(?:em|span)[^>]*>|\s)*"
 _ARRAY = "numpy.ndarray [ tuple [ Any , ... ] , numpy.dtype [ numpy.X ] ]"
 _ARRAY_MARKUP = _TAGS.join(re.escape(word) for word in _ARRAY.split(" "))
@@ -110,7 +113,7 @@ _ARRAY_MARKUP = (
 
 
 def tidy(_app: Sphinx, _page: str, _template: str, context: dict[str, Any], _doctree: Any) -> None:
-    """Write an array's type as ``NDArray[float64]``, as the code does, and mark options, which are not broken."""
+    """Write an array's type as ``NDArray[float64]``, as the code does, and mark what is not broken, or may be."""
 
     def short(match: re.Match[str]) -> str:
         opened: list[str] = []
@@ -122,7 +125,20 @@ def tidy(_app: Sphinx, _page: str, _template: str, context: dict[str, Any], _doc
         return f"NDArray[{match[1]}]{''.join(opened)}"
 
     body = re.sub(_ARRAY_MARKUP, short, context.get("body", ""))
-    context["body"] = body.replace('<span class="pre">--', '<span class="pre option">--')
+    body = body.replace('<span class="pre">--', '<span class="pre option">--')
+    context["body"] = re.sub(r"(?s)(<t[dh]\b[^>]*>)(.*?)(?=</t[dh]>)", lambda cell: cell[1] + tidy_cell(cell[2]), body)
+
+
+def tidy_cell(html: str) -> str:
+    """Let long paths and names in a table's cell break at their joints, and its figures only between them."""
+    if "<table" in html:
+        return html
+    code = r'(?<=<span class="pre">)[^<]{16,}'  # the others are short enough
+    html = re.sub(code, lambda name: re.sub(r"(::|[/_])(?=\w)", r"\1<wbr>", name[0]), html)
+    return "".join(
+        text if text.startswith("<") else _FIGURE.sub(r'<span class="figure">\g<0></span>', text)
+        for text in re.split(r"(<[^>]+>)", html)
+    )
 
 
 def setup(app: Sphinx) -> None:

@@ -1,6 +1,7 @@
 """README and site: snippets run, links lead somewhere, the built pages load nothing from a network."""
 
 import importlib
+import pkgutil
 import re
 import subprocess
 import sys
@@ -68,6 +69,27 @@ def test_the_readme_fits_on_a_page() -> None:
     lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 160
     assert [line for line in lines if len(line) > 100] == []
+
+
+def test_the_methods_equations_name_functions_that_exist() -> None:
+    text = (ROOT / "docs" / "explanation" / "method.md").read_text(encoding="utf-8")
+    names = set(re.findall(r"`((?:perception|binpick_env|policies)(?:\.\w+)+)`", text))
+    assert len(names) > 20
+    assert [name for name in sorted(names) if fault_of_name(name)] == []
+    for line in re.findall(r"(?m)^Functions?: (.*(?:\n(?!\n).*)*)", text):  # as well as `a` and `b` in `module`
+        for found in re.finditer(r"((?:`\w+`(?:, | and )?)+)(?: \w+)? in `([\w.]+)`", line):
+            module = importlib.import_module(found[2])
+            for name in re.findall(r"`(\w+)`", found[1]):
+                assert hasattr(module, name), f"{found[2]}.{name}"
+
+
+def fault_of_name(name: str) -> str | None:
+    """Return why a dotted name leads to nothing; None if it leads somewhere."""
+    try:
+        pkgutil.resolve_name(name)
+    except (ImportError, AttributeError) as error:
+        return str(error)
+    return None
 
 
 def test_every_page_is_in_the_table_of_contents() -> None:
@@ -147,3 +169,21 @@ def test_an_equations_number_does_not_lie_on_the_equation(site: Path, browser: A
         assert len(boxes) == 2
         for number, equation in boxes:
             assert number["bottom"] <= equation["top"] + 1 or number["left"] >= equation["right"], width
+
+
+@pytest.mark.slow
+def test_tables_are_not_squeezed(site: Path, browser: Any) -> None:
+    page = browser.new_page(viewport={"width": 1400, "height": 900})
+    page.goto((site / "explanation" / "faults.html").as_uri())
+    wrappers = page.evaluate("[...document.querySelectorAll('.table-wrapper')].map(e => e.scrollWidth - e.clientWidth)")
+    assert wrappers == [0] * len(wrappers) != []
+    narrowest = "Math.min(...[...document.querySelectorAll('td')].map(e => e.offsetWidth))"
+    for width in (400, 1400):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate(narrowest) >= 110, width
+    page.goto((site / "explanation" / "benchmark.html").as_uri())
+    figures = "[...document.querySelectorAll('td .figure')].map(e => e.getClientRects().length)"
+    assert len(page.evaluate(figures)) > 100
+    for width in (400, 1400):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert set(page.evaluate(figures)) == {1}, width
