@@ -53,11 +53,13 @@ figcaption { font-size: 12.5px; margin-top: 5px; }
 .four { grid-template-columns: repeat(auto-fit, minmax(260px, 1fr)); }
 """
     + _CURVES
-    + """.zoom { margin: 0; } .zoom summary { display: block; list-style: none; cursor: zoom-in; }
-.zoom summary::-webkit-details-marker { display: none; }
-.zoom[open] summary { position: fixed; inset: 0; z-index: 9; display: grid; place-items: center; cursor: zoom-out;
-  background: rgb(0 0 0 / .86); }
-.zoom[open] img { width: 96vw; height: 96vh; object-fit: contain; background: none; }
+    + """.zoom, .zoom button { display: block; position: static; width: 100%; height: auto; margin: 0; border: 0; padding: 0;
+  background: none; color: inherit; font: inherit; } .zoom button { cursor: zoom-in; }
+.zoom:popover-open { position: fixed; inset: 0; height: 100%; overflow: auto; background: rgb(0 0 0 / .86); }
+.zoom:popover-open button { display: grid; place-items: center; min-height: 100%; cursor: zoom-out; }
+.zoom:popover-open img { width: 96vw; height: 96vh; object-fit: contain; background: none; }
+@media (max-width: 900px) { .zoom:popover-open button { width: max-content; min-width: 100%; }
+  .zoom:popover-open img { width: auto; height: auto; min-width: 900px; max-width: none; } }
 details { margin-top: 10px; } summary { cursor: pointer; color: var(--accent); font-size: 13.5px; }
 .strip { display: flex; flex-wrap: wrap; gap: 3px; margin: 10px 0 2px; }
 .strip i { width: 15px; height: 15px; border-radius: 4px; }
@@ -67,6 +69,7 @@ h3 { font-size: 15px; margin: 16px 0 8px; } h3:first-child { margin-top: 0; }
 .bin h3 { margin: 0 0 8px; font-size: 15px; } .bin h3 span { color: var(--soft); font-weight: 400; }
 """
 )
+_PICTURE = "<div class='zoom'><button>"  # opening tags of a picture until a page numbers it
 
 
 def page(title: str, body: str, wide: bool = False) -> str:
@@ -74,7 +77,7 @@ def page(title: str, body: str, wide: bool = False) -> str:
     head = f"<meta charset='utf-8'><meta name='viewport' content='width=device-width'><title>{escape(title)}</title>"
     head += f"<style>{CSS}</style>"
     main = f"<main{' class=wide' if wide else ''}>{body}{glossary(body)}</main>"
-    return f"<!doctype html><html lang='en'><head>{head}</head><body>{main}</body></html>\n"
+    return f"<!doctype html><html lang='en'><head>{head}</head><body>{_numbered(main)}</body></html>\n"
 
 
 def tile(name: str, value: str, note: str, bounds: tuple[float, float, float] | None = None) -> str:
@@ -117,9 +120,10 @@ def tag(text: str, kind: str) -> str:
 
 
 def picture(source: str, alt: str) -> str:
-    """Return a picture that fills the window when it is clicked, and goes back with the next click.
+    """Return a picture that fills the window when it is clicked; another click or Escape puts it back.
 
-    The page needs no script for it: the picture is the summary of a ``details`` element.
+    In a narrow window it is at least 900 px wide, and is scrolled. No script is needed: the picture is a popover, which
+    `page` numbers, that is also shown while it is closed. Browsers before 2024 leave it small.
 
     Args:
         source: Data URI, or path of the file relative to the page.
@@ -127,7 +131,14 @@ def picture(source: str, alt: str) -> str:
     """
     later = "" if source.startswith("data:") else " loading='lazy'"
     image = f"<img alt='{escape(alt, quote=True)}'{later} src='{source}'>"
-    return f"<details class='zoom' name='zoom'><summary>{image}</summary></details>"
+    return f"{_PICTURE}{image}</button></div>"
+
+
+def _numbered(body: str) -> str:
+    """Return a page's contents with a popover of its own for each picture."""
+    before, *pictures = body.split(_PICTURE)
+    opening = "<div class='zoom' popover id='picture-{0}'><button popovertarget='picture-{0}'>"
+    return before + "".join(opening.format(k) + rest for k, rest in enumerate(pictures))
 
 
 def figure(source: str | None, caption: str, alt: str) -> str:
