@@ -16,8 +16,23 @@ def name_of(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
+def fences(path: Path) -> list[tuple[str, str]]:
+    """Return language and text of a page's code blocks in order."""
+    found: list[tuple[str, list[str]]] = []
+    inside = False
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.lstrip().startswith("```"):
+            inside = not inside
+            if inside:
+                found.append((line.strip().strip("`").split(" ")[0], []))
+        elif inside:
+            found[-1][1].append(line)
+    assert not inside, f"{name_of(path)} ends within a code block"
+    return [(language, "".join(f"{line}\n" for line in lines)) for language, lines in found]
+
+
 def blocks(path: Path, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return [text for found, text in fences(path) if found == language]
 
 
 def shell_lines(block: str) -> list[list[str]]:

@@ -7,13 +7,11 @@ import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 
-import gymnasium as gym
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("perception", "binpick_env", "policies")
 SOURCES = sorted(path for name in (*PACKAGES, "scripts") for path in (ROOT / name).rglob("*.py"))
-SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
 def name_of(path: Path) -> str:
@@ -65,18 +63,6 @@ def test_libraries_parse_no_command_line() -> None:
 
 def test_every_package_is_typed() -> None:
     assert all((ROOT / name / "py.typed").is_file() for name in PACKAGES)
-
-
-@pytest.mark.slow
-def test_the_readmes_snippets_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert len(SNIPPETS) >= 2
-    names: dict[str, object] = {}
-    for snippet in SNIPPETS:  # one after the other: the second goes on with the first one's env
-        exec(compile(snippet, "README.md", "exec"), names)
-    env = names["env"]
-    assert isinstance(env, gym.Env)
-    env.close()
 
 
 def test_the_readmes_files_exist() -> None:
