@@ -103,7 +103,9 @@ def leave_out_signature(
 
 _NUMBER = r"[-+−]?\d[\d.]*"
 # An interval, a count of a whole, or a number with its unit.
-_FIGURE = re.compile(rf"\({_NUMBER} to {_NUMBER}\)|{_NUMBER} (?:of|to|/) {_NUMBER}(?: %)?|{_NUMBER} (?:%|mm|ms|s|m)(?!\w)")
+_FIGURE = re.compile(
+    rf"\({_NUMBER} to {_NUMBER}\)|{_NUMBER} (?:of|to|/) {_NUMBER}(?: %)?|{_NUMBER} (?:%|mm|ms|s|m)(?!\w)"
+)
 _TAGS = r"(?:</?(?:em|span)[^>]*>|\s)*"
 _ARRAY = "numpy.ndarray [ tuple [ Any , ... ] , numpy.dtype [ numpy.X ] ]"
 _ARRAY_MARKUP = _TAGS.join(re.escape(word) for word in _ARRAY.split(" "))

@@ -1,6 +1,5 @@
 """The pages that a user reads: README, the guide for contributors and the site, and the code blocks in them."""
 
-import re
 import shlex
 from pathlib import Path
 

@@ -57,6 +57,9 @@ def check_own_arrays(names: Names, shown: str) -> None:
     # Sorted by score, and the same with two threads as what was printed before with one.
     scores = [f"{pose.score:.2f}" for pose in poses]
     assert [line.split()[0] for line in shown.splitlines()] == scores == sorted(scores, reverse=True)
+    places = np.array([line.split("[")[1].rstrip("]").split() for line in shown.splitlines()], float)
+    true = names["env"].labelled_capture.T_reported_parts[:, :3, 3]
+    assert np.linalg.norm(places[:, None] - true, axis=2).min(axis=1).max() < 0.003
 
 
 def check_own_picker(names: Names, shown: str) -> None:

@@ -6,12 +6,14 @@ import importlib
 import inspect
 import re
 from collections.abc import Iterator
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import pytest
 import trimesh
+from gymnasium.envs.registration import load_env_creator
 
 from tests.pages import PAGES, ROOT, blocks, fences, name_of
 from tests.snippet_checks import CHECKS
@@ -95,13 +97,17 @@ def resolved(node: ast.expr, names: dict[str, Any]) -> Any:
 
 
 def calls(tree: ast.AST, names: dict[str, Any]) -> Iterator[tuple[Any, ast.Call]]:
-    """Yield calls of imported functions and classes of this project, without ``*`` and ``**``."""
+    """Yield calls of this project's functions and classes, and of its environments, without ``*`` and ``**``."""
     for node in ast.walk(tree):
         called = resolved(node.func, names) if isinstance(node, ast.Call) else None
+        if called is gym.make and isinstance(node, ast.Call) and isinstance(node.args[0], ast.Constant):
+            called, node = load_env_creator(str(gym.spec(node.args[0].value).entry_point)), deepcopy(node)
+            node.args = node.args[1:]  # the rest are the environment's
         home = str(getattr(called, "__module__", "")).partition(".")[0]
-        if isinstance(node, ast.Call) and home in ("perception", "binpick_env", "policies"):
-            if not any(isinstance(arg, ast.Starred) for arg in node.args) and all(k.arg for k in node.keywords):
-                yield called, node
+        if not isinstance(node, ast.Call) or home not in ("perception", "binpick_env", "policies"):
+            continue
+        if not any(isinstance(arg, ast.Starred) for arg in node.args) and all(k.arg for k in node.keywords):
+            yield called, node
 
 
 @pytest.mark.parametrize("number", range(len(LONG)))

@@ -53,8 +53,8 @@ figcaption { font-size: 12.5px; margin-top: 5px; }
 .four { grid-template-columns: repeat(auto-fit, minmax(260px, 1fr)); }
 """
     + _CURVES
-    + """.zoom, .zoom button { display: block; position: static; width: 100%; height: auto; margin: 0; border: 0; padding: 0;
-  background: none; color: inherit; font: inherit; } .zoom button { cursor: zoom-in; }
+    + """.zoom, .zoom button { display: block; position: static; width: 100%; height: auto; margin: 0; border: 0;
+  padding: 0; background: none; color: inherit; font: inherit; } .zoom button { cursor: zoom-in; }
 .zoom:popover-open { position: fixed; inset: 0; height: 100%; overflow: auto; background: rgb(0 0 0 / .86); }
 .zoom:popover-open button { display: grid; place-items: center; min-height: 100%; cursor: zoom-out; }
 .zoom:popover-open img { width: 96vw; height: 96vh; object-fit: contain; background: none; }
