@@ -9,8 +9,16 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from perception.pose.hypotheses.voting import VoteConfig
+from perception.pose.verification.confidence import ConfidenceConfig
+from perception.pose.verification.expected_error import CORRELATED, UNKNOWN
+from perception.pose.verification.joint_refinement import JointRefinement
+from perception.pose.verification.perturbation import ANGLE
+from perception.pose.verification.verification import VerificationConfig
+from perception.segmentation.grouping.similarity import GroupingConfig
 from policies.commands.command_line import parse
 from policies.commands.registry import COMMANDS
 from tests.pages import PAGES, ROOT, command_lines, name_of
@@ -90,6 +98,27 @@ def fault_of_name(name: str) -> str | None:
     except (ImportError, AttributeError) as error:
         return str(error)
     return None
+
+
+def test_the_methods_equations_have_the_codes_numbers() -> None:
+    text = (ROOT / "docs" / "explanation" / "method.md").read_text(encoding="utf-8")
+    ranked, score, joint, votes = VerificationConfig(), ConfidenceConfig(), JointRefinement(), VoteConfig()
+    for wanted in (
+        rf"= {ranked.bias} + {ranked.edge_weight}\, s_e + {ranked.explained_weight}\, s_x",
+        rf"+ {ranked.support_weight}\, s_s - {-ranked.violation_weight}\, s_v",
+        f"clipped at {score.clear:g} and at {score.close:g}",
+        rf"\sigma_0 = {np.degrees(score.exact):g}$ and $\sigma_1 = {np.degrees(score.unknown):g}$ degrees",
+        rf"= {score.patch_weight} \max(0, k - {score.patch:g}) - {-score.stray_weight:g} \max(0, o - {score.stray})",
+        rf"- {-score.noise_weight:g} \max(0, \sigma - {score.noise:g})",
+        rf"\frac{{H}}{{({CORRELATED}\, \sigma_d)^2}}",
+        f"is {joint.edge_noise} pixels at the part's depth",
+        rf"\bar\rho = \frac{{1}}{{{(2 * joint.patch + 1) ** 2}}}",
+        f"$B = {votes.bins}$ bins",
+        f"at least {votes.second_peak} of the votes",
+        rf"$d = {1 + GroupingConfig().slack:g}\, d_{{max}}$",
+    ):
+        assert wanted in text, wanted
+    assert (joint.averaged, UNKNOWN, np.degrees(ANGLE)) == (0.5, 1.0, pytest.approx(8.0))  # given in words
 
 
 def test_every_page_is_in_the_table_of_contents() -> None:
