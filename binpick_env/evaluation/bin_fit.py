@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.text_tables import columns, number
+from binpick_env.jobs.workers import Workers
 from binpick_env.scenes.synthesis import SceneConfig, make_scene
 from perception.bin import find_bin
 from perception.frame import Frame
@@ -60,13 +61,13 @@ class BinTrial:
     ms: float
 
 
-def measure_bins(config: BinFitConfig, count: int, workers: int) -> Iterator[BinTrial]:
+def measure_bins(config: BinFitConfig, count: int, workers: Workers) -> Iterator[BinTrial]:
     """Yield the trials of scenes 0 to ``count - 1``, in order of completion.
 
     Args:
         config: Scenes and errors of the camera's pose.
         count: Number of scenes.
-        workers: Number of worker processes.
+        workers: Number of worker processes, or a cluster.
 
     Raises:
         ValueError: ``count`` or ``workers`` is not positive.

@@ -1,4 +1,4 @@
-"""Map a pure function over indices, in this process or in several worker processes of this machine."""
+"""Map a pure function over indices: in this process, in several worker processes of this machine, or on a cluster."""
 
 import multiprocessing
 import os
@@ -11,35 +11,43 @@ from typing import Any, TypeVar
 
 import cv2
 
+from binpick_env.jobs.folder_work import FolderWork as FolderWork
+from binpick_env.jobs.workers import Cluster, Workers
+from binpick_env.jobs.workers import WorkerError as WorkerError
 from perception.runtime.threads import one_core
 
 Result = TypeVar("Result")
 
 
-class WorkerError(RuntimeError):
-    """A worker process was killed."""
-
-
 def map_indices(
     work: Callable[[int], Result],
     indices: Sequence[int],
-    workers: int,
+    workers: Workers,
     initializer: Callable[..., None] | None = None,
     initargs: tuple[Any, ...] = (),
 ) -> Iterator[Result]:
     """Yield ``work(index)`` for every index in order of completion; each worker computes on one core.
 
+    The results are the same wherever they are computed. Work that writes files is a :class:`FolderWork`.
+
     Args:
         work: Function of an index. It must be picklable; worker processes share no state with this one.
         indices: Indices to compute.
-        workers: Number of worker processes. With 1 the work is done in this process, in the order of the indices.
+        workers: Number of worker processes, or a cluster. With 1 the work is done in this process, in the order of the
+            indices.
         initializer: Function that each new worker process calls once.
         initargs: Arguments of the initializer.
 
     Raises:
         ValueError: ``workers`` is not positive.
-        WorkerError: A worker process was killed; the results yielded before remain valid.
+        WorkerError: A worker process was killed; the results yielded before remain valid. A cluster computes the index
+            again; see :func:`binpick_env.jobs.ray_map.map_on_cluster` for its own errors.
     """
+    if isinstance(workers, Cluster):
+        from binpick_env.jobs.ray_map import map_on_cluster
+
+        yield from map_on_cluster(work, indices, workers, initializer, initargs)
+        return
     if workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
     if workers < 2 or len(indices) < 2:

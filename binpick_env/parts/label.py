@@ -4,6 +4,8 @@ import hashlib
 import re
 from pathlib import Path
 
+from perception.runtime.job_files import local_file
+
 GENERATED = "generated:"  # prefix of the names of generated parts
 DIGITS = 8  # number of hexadecimal digits of a file's SHA-256 in its label
 
@@ -24,7 +26,7 @@ def part_label(name_or_path: str | Path) -> str:
     if name.startswith(GENERATED) or not path.suffix:
         return _safe(name)
     try:
-        content = hashlib.sha256(path.read_bytes()).hexdigest()[:DIGITS]
+        content = hashlib.sha256(local_file(path).read_bytes()).hexdigest()[:DIGITS]
     except OSError:
         return _safe(path.stem)
     return f"{_safe(path.stem)}-{content}"

@@ -21,6 +21,7 @@ from binpick_env.parts.symmetry import SymmetrySettings, detect_symmetry
 from binpick_env.parts.unit import Unit, check_unit
 from perception.geometry import Floats
 from perception.part import PartModel, Symmetry
+from perception.runtime.job_files import local_file, resolved_path
 
 SymmetryChoice = Symmetry | Literal["detect", "none"]
 _NO_SYMMETRY = Symmetry()  # a single one, by which the same file is found again among the loaded ones
@@ -110,15 +111,15 @@ def load_part(
         if unit is not None:
             raise ValueError(f"unit belongs to mesh files; {name!r} is a generated part, in metres; got unit={unit!r}")
         return _generated_part(parse_name(name), symmetry, density)
-    path = Path(name_or_path)
+    path, source = local_file(Path(name_or_path)), resolved_path(Path(name_or_path))
     if not path.suffix and not path.exists():
         raise ValueError(
             f"part must be one of {', '.join(CATALOGUE)}, generated:FAMILY:INDEX, or a path to a file "
             f"({', '.join(SUFFIXES)}), got {name!r}"
         )
     group = settings if symmetry == "detect" else _group(symmetry)
-    version = str(path.resolve()), path.read_bytes() if path.is_file() else b""
-    return _file_part(path, unit, group, density or FILE_DENSITY, hash(version))
+    version = source, path.read_bytes() if path.is_file() else b""
+    return _file_part(path, source, unit, group, density or FILE_DENSITY, hash(version))
 
 
 def generate_part(family: str, index: int, d_max_range: tuple[float, float] = D_MAX) -> Part:
@@ -175,6 +176,7 @@ def _generated_part(name: GeneratedName, symmetry: SymmetryChoice, density: floa
 @lru_cache(maxsize=8)
 def _file_part(
     path: Path,
+    source: str,
     unit: Unit | None,
     symmetry: Symmetry | SymmetrySettings,
     density: float,
@@ -186,7 +188,7 @@ def _file_part(
     mesh.apply_translation((-x, -y, -z))
     group = symmetry if isinstance(symmetry, Symmetry) else detect_symmetry(mesh, symmetry)
     drawn = Design(name=path.stem, mesh=mesh, pieces=convex_pieces(mesh), density=density, symmetry=group)
-    part = _assemble(drawn, source=str(path.resolve()))
+    part = _assemble(drawn, source=source)
     return replace(part, unit=facts.unit, file=replace(facts, origin=(x, y, z)), sides=mesh.metadata["sides"])
 
 

@@ -19,7 +19,9 @@ from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
 from binpick_env.config import AppearanceChoice, CameraConfig, CellConfig, SensorChoice, SensorPreset
 from binpick_env.jobs.folder_config import ensure_same_config
+from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
+from binpick_env.jobs.workers import Workers, is_positive
 from binpick_env.options import CellOptions
 from binpick_env.part_limits import bin_capacity as bin_capacity
 from binpick_env.parts.catalogue import CATALOGUE
@@ -237,14 +239,14 @@ def scene_path(folder: Path, index: int) -> Path:
     return folder / f"scene_{index:05d}.npz"
 
 
-def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int = 1) -> Iterator[int]:
+def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: Workers = 1) -> Iterator[int]:
     """Write scenes 0 to ``count - 1`` and yield each index once its file exists; intact files are kept.
 
     Args:
         config: Configuration of the scenes.
         count: Number of scenes.
         folder: Folder of the scenes' files; it must not hold scenes of another configuration.
-        workers: Number of worker processes.
+        workers: Number of worker processes, or a cluster.
 
     Raises:
         ValueError: The folder holds scenes of another configuration, there is no such part, or ``count`` or
@@ -252,7 +254,7 @@ def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int 
         FileNotFoundError: The part's file does not exist.
         WorkerError: A process was killed; every finished scene is kept.
     """
-    if count < 1 or workers < 1:
+    if count < 1 or not is_positive(workers):
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
     config.at(0).options().load_part()  # before the folder gets a configuration
     ensure_folder_config(config, folder)
@@ -262,7 +264,7 @@ def generate_scenes(config: SceneConfig, count: int, folder: Path, workers: int 
             yield index
         else:
             missing.append(index)
-    yield from map_indices(partial(_write_scene, config, folder), missing, workers)
+    yield from map_indices(FolderWork(partial(_write_scene, config), folder), missing, workers)
 
 
 def ensure_folder_config(config: SceneConfig, folder: Path) -> None:

@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from binpick_env.jobs.workers import Workers
 from binpick_env.options import CellOptions, scenes_of
 from binpick_env.scenes.synthesis import SceneConfig, ensure_folder_config, generate_scenes, with_room
 from perception.runtime.files import json_text, write_atomically
@@ -77,7 +78,7 @@ def fine_tuning_scenes(options: CellOptions) -> SceneConfig:
 
 
 def make_scenes(
-    config: SceneConfig, folder: Path, budget: SceneBudget, state: Path, workers: int = 1
+    config: SceneConfig, folder: Path, budget: SceneBudget, state: Path, workers: Workers = 1
 ) -> Iterator[tuple[int, Making]]:
     """Write scenes until the budget is used, and yield the number of scenes and the state after each.
 
@@ -89,7 +90,7 @@ def make_scenes(
         folder: Folder of the scenes' files.
         budget: Number of scenes, and time.
         state: File of the state. Time that it names has been spent already.
-        workers: Number of worker processes.
+        workers: Number of worker processes, or a cluster.
 
     Raises:
         ValueError: The folder holds scenes of another configuration, or there is no such part.

@@ -8,6 +8,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+COMMIT = "BINPICK_COMMIT"  # variable that tells a node of a cluster the commit of a job
 PACKAGES = (
     "binpick",
     "mujoco",
@@ -53,7 +54,12 @@ def machine() -> str:
 
 @lru_cache(maxsize=1)
 def git_commit() -> str:
-    """Return the commit of this checkout, with ``-dirty`` if files were changed; "" outside of a checkout."""
+    """Return the commit of this checkout, with ``-dirty`` if files were changed; "" outside of a checkout.
+
+    A node of a cluster names that of the machine on which the job was started, whose files are the same.
+    """
+    if COMMIT in os.environ:
+        return os.environ[COMMIT]
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():  # the wheel may be installed inside another repository
         return ""

@@ -20,6 +20,7 @@ from safetensors import SafetensorError, safe_open
 
 from perception.runtime.array_files import load_npz, require_bytes
 from perception.runtime.files import json_text, replace_atomically, write_atomically
+from perception.runtime.job_files import local_file
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -67,7 +68,7 @@ class RecordFormat:
             RecordError: The file is missing, damaged or of another kind or version, or ``build`` fails.
         """
         with self._reading(path):
-            arrays = load_npz(path)
+            arrays = load_npz(local_file(path))
             self._check(path, arrays)
             return build(arrays)
 
@@ -88,8 +89,9 @@ class RecordFormat:
             RecordError: The file is missing, damaged or of another kind or version, or ``build`` fails.
         """
         with self._reading(path):
-            require_bytes(path.name, path.stat().st_size)
-            values = json.loads(path.read_text(encoding="utf-8"))
+            file = local_file(path)
+            require_bytes(path.name, file.stat().st_size)
+            values = json.loads(file.read_text(encoding="utf-8"))
             self._check(path, values)
             return build({name: value for name, value in values.items() if name not in ("kind", "version")})
 
@@ -128,7 +130,7 @@ class RecordFormat:
         Raises:
             RecordError: The file is missing, damaged or of another kind or version.
         """
-        with self._reading(path), safe_open(path, framework="numpy") as file:
+        with self._reading(path), safe_open(local_file(path), framework="numpy") as file:
             metadata = file.metadata() or {}
             text = next((metadata[name] for name in _HEADERS if name in metadata), None)
             if text is None:
@@ -148,8 +150,9 @@ class RecordFormat:
 
         header = self.load_header(path)
         with self._reading(path):
-            require_bytes(path.name, path.stat().st_size)
-            return build(header, load_file(path))
+            file = local_file(path)
+            require_bytes(path.name, file.stat().st_size)
+            return build(header, load_file(file))
 
     def _check(self, path: Path, stored: Mapping[str, Any]) -> None:
         """Refuse a file of another kind or version."""

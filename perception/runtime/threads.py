@@ -13,7 +13,8 @@ import cv2
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+# They are read by OpenMP, BLAS and numba when these are loaded.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @contextmanager
@@ -23,9 +24,9 @@ def one_core() -> Iterator[None]:
     The setting of OpenCV takes effect at once. BLAS and OpenMP read their environment variables when they are loaded,
     so these take effect in new processes only. The compiled kernels are not parallel, and MuJoCo steps on one thread.
     """
-    kept = {name: os.environ.get(name) for name in _VARIABLES}
+    kept = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     threads = cv2.getNumThreads()
-    os.environ.update(dict.fromkeys(_VARIABLES, "1"))
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     cv2.setNumThreads(1)
     try:
         yield

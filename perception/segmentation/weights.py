@@ -11,8 +11,8 @@ from typing import Any, Literal, get_args
 from torch import Tensor
 
 from perception.part import PartModel
-from perception.runtime.cache import cache_folder
 from perception.runtime.files import replace_atomically, write_atomically
+from perception.runtime.job_files import installed_weights
 from perception.runtime.records import RecordError, RecordFormat
 from perception.runtime.tensor_shapes import filled
 from perception.segmentation.choices import NetworkName
@@ -319,4 +319,4 @@ def install_weights(path: Path, name: str) -> Path:
 
 def user_folder() -> Path:
     """Return the folder of the user's own weights, in the cache folder."""
-    return cache_folder() / "weights"
+    return installed_weights()

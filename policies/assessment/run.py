@@ -13,6 +13,7 @@ from binpick_env.config import Perception
 from binpick_env.evaluation.pose.evaluation import evaluate_poses
 from binpick_env.evaluation.pose.scene_score import PoseSceneScore, load_pose_scores
 from binpick_env.evaluation.pose.summary import summarise_poses
+from binpick_env.jobs.workers import Workers, is_positive
 from binpick_env.part_limits import check_part
 from binpick_env.parts.part import Part
 from binpick_env.parts.symmetry import SymmetrySettings
@@ -59,20 +60,20 @@ class AssessmentJob:
 
     Attributes:
         out: Folder of the results; finished scenes and bins in it are not computed again.
-        workers: Number of processes, each on one core.
+        workers: Number of processes, or a cluster, each on one core.
         fresh: Whether scenes and bins are computed even if their records exist already.
         progress: Told of every stage and step.
         listeners: Makes the listeners that follow each bin that is picked from pixels, such as pictures; None for none.
     """
 
     out: Path
-    workers: int = 2
+    workers: Workers = 2
     fresh: bool = False
     progress: Progress = field(default_factory=Progress)
     listeners: ListenerFactory | None = None
 
     def __post_init__(self) -> None:
-        if self.workers < 1:
+        if not is_positive(self.workers):
             raise ValueError(f"workers must be at least 1, got {self.workers}")
 
 

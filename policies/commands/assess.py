@@ -10,6 +10,7 @@ import tyro
 from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import CellArguments
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 if TYPE_CHECKING:
     from binpick_env.options import CellOptions
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(CellArguments):
+class Arguments(WorkerArguments, CellArguments):
     """Assess a part on one page: what it is, how it rests, is seen, held, found and picked, and what to do about it.
 
     A part that the jaw cannot hold is assessed for perception, and no bin is picked. Every scene and bin is saved as
@@ -76,7 +77,7 @@ class Arguments(CellArguments):
 
         return AssessmentJob(
             out=self.folder(),
-            workers=self.workers,
+            workers=self.places(),
             fresh=self.fresh,
             progress=progress,
             listeners=BinMedia(pictures=self.html),
@@ -116,14 +117,13 @@ def _assess(args: Arguments) -> str:
 
 def _bars() -> "Progress":
     """Return a progress bar for each stage."""
-    from tqdm import tqdm
-
     from policies.assessment.run import Progress
+    from policies.commands.progress import ProgressBar
 
     class Bars(Progress):
         def begin(self, stage: str, total: int) -> None:
             counted = "bins (each by 3 perceptions)" if stage == "bins" else stage
-            self.bar = tqdm(total=total, desc=f"{counted:<7}", unit="step", smoothing=0.02)
+            self.bar = ProgressBar(total=total, desc=f"{counted:<7}", unit="step", smoothing=0.02)
 
         def advance(self) -> None:
             self.bar.update()

@@ -7,10 +7,11 @@ from pathlib import Path
 from binpick_env.config import AppearanceChoice, SensorPreset
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(SceneArguments):
+class Arguments(WorkerArguments, SceneArguments):
     """Measure the bin in scenes whose camera is reported elsewhere than it is; print the errors and the time."""
 
     count: int = 100  # number of scenes
@@ -36,12 +37,11 @@ def run(args: Arguments) -> int:
 
 
 def _evaluate(args: Arguments) -> str:
-    from tqdm import tqdm
-
     from binpick_env.evaluation.bin_fit import BinFitConfig, bin_fit_table, measure_bins
     from binpick_env.scenes.synthesis import SceneConfig
     from perception.runtime.files import json_text, write_atomically
     from perception.runtime.provenance import command_line, git_commit
+    from policies.commands.progress import ProgressBar
 
     scenes = SceneConfig(
         **scenes_of(args.options()),
@@ -51,7 +51,7 @@ def _evaluate(args: Arguments) -> str:
         appearance=args.appearance,
     )
     config = BinFitConfig(scenes=scenes, off_mm=args.off_mm, off_deg=args.off_deg)
-    found = tqdm(measure_bins(config, args.count, args.workers), total=args.count, unit="scene")
+    found = ProgressBar(measure_bins(config, args.count, args.places()), total=args.count, unit="scene")
     trials = sorted(found, key=lambda trial: trial.index)
     if args.json is not None:
         facts = {"command": command_line(), "commit": git_commit(), "trials": [asdict(trial) for trial in trials]}

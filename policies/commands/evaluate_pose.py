@@ -11,6 +11,7 @@ from binpick_env.parts.label import part_label
 from perception.segmentation.choices import NetworkName
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 if TYPE_CHECKING:
     from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(SceneArguments):
+class Arguments(WorkerArguments, SceneArguments):
     """Estimate the poses of parts in scenes that no training has used; print recognition, recall and precision.
 
     Every scene is saved as soon as it is finished: the same command resumes where it was stopped. With --ablation,
@@ -104,7 +105,6 @@ def run(args: Arguments) -> int:
 
 def _evaluation(args: Arguments) -> str:
     import numpy as np
-    from tqdm import tqdm
 
     from binpick_env.evaluation.pose.evaluation import evaluate_poses
     from binpick_env.evaluation.pose.report import write_pose_report
@@ -113,10 +113,11 @@ def _evaluation(args: Arguments) -> str:
     from binpick_env.evaluation.pose.table import pose_table, table_three
     from binpick_env.evaluation.segmentation.summary import save_summary
     from perception.pose.model.appearances import edge_appearances
+    from policies.commands.progress import ProgressBar
 
     config, out = args.config(), args.folder()
-    done = evaluate_poses(config, args.count, out, args.workers, fresh=args.fresh)
-    for _ in tqdm(done, total=args.count, desc=args.part, unit="scene", smoothing=0.02):
+    done = evaluate_poses(config, args.count, out, args.places(), fresh=args.fresh)
+    for _ in ProgressBar(done, total=args.count, desc=args.part, unit="scene", smoothing=0.02):
         pass
     part = config.load().part
     scores = load_pose_scores(out, args.count, part)
@@ -132,16 +133,15 @@ def _evaluation(args: Arguments) -> str:
 
 
 def _ablation(args: Arguments) -> str:
-    from tqdm import tqdm
-
     from binpick_env.evaluation.pose.ablation import PoseAblationConfig, pose_rows, run_pose_ablation
     from binpick_env.evaluation.pose.ablation_table import pose_ablation_table
     from binpick_env.evaluation.segmentation.summary import save_summary
+    from policies.commands.progress import ProgressBar
 
     out, rows = args.folder(), pose_rows(args.estimator())
     config = PoseAblationConfig(scenes=args.scene_config(), count=args.count, rows=rows)
-    with tqdm(desc=args.part, bar_format="{desc} · {elapsed}") as bar:
-        table = run_pose_ablation(config, out, args.workers, fresh=args.fresh, report=bar.set_description_str)
+    with ProgressBar(desc=args.part, bar_format="{desc} · {elapsed}{postfix}") as bar:
+        table = run_pose_ablation(config, out, args.places(), fresh=args.fresh, report=bar.set_description_str)
     results = args.json or out / "results.json"
     save_summary(results, table)
     return f"{pose_ablation_table(table)}\nnumbers   {results}"

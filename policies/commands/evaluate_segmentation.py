@@ -11,6 +11,7 @@ from binpick_env.parts.label import part_label
 from perception.segmentation.choices import NetworkName
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 if TYPE_CHECKING:
     from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(SceneArguments):
+class Arguments(WorkerArguments, SceneArguments):
     """Segment scenes that no training has used, and print average precision (AP) with intervals.
 
     Every scene is saved as soon as it is finished: the same command resumes where it was stopped. With --ablation, the
@@ -101,16 +102,16 @@ def run(args: Arguments) -> int:
 
 def _evaluation(args: Arguments) -> str:
     import numpy as np
-    from tqdm import tqdm
 
     from binpick_env.evaluation.segmentation.evaluation import evaluate_scenes
     from binpick_env.evaluation.segmentation.report import write_report
     from binpick_env.evaluation.segmentation.summary import load_scores, save_summary, summarise
     from binpick_env.evaluation.segmentation.table import segmentation_table
+    from policies.commands.progress import ProgressBar
 
     config, out = args.config(), args.folder()
-    done = evaluate_scenes(config, args.count, out, args.workers, fresh=args.fresh)
-    for _ in tqdm(done, total=args.count, desc=args.part, unit="scene", smoothing=0.02):
+    done = evaluate_scenes(config, args.count, out, args.places(), fresh=args.fresh)
+    for _ in ProgressBar(done, total=args.count, desc=args.part, unit="scene", smoothing=0.02):
         pass
     scores = load_scores(out, args.count)
     summary = summarise(config, scores, np.random.default_rng(args.seed))
@@ -124,11 +125,10 @@ def _evaluation(args: Arguments) -> str:
 
 
 def _ablation(args: Arguments) -> str:
-    from tqdm import tqdm
-
     from binpick_env.evaluation.segmentation.ablation import AblationConfig, run_ablation
     from binpick_env.evaluation.segmentation.ablation_table import segmentation_ablation_table
     from binpick_env.evaluation.segmentation.summary import save_summary
+    from policies.commands.progress import ProgressBar
 
     config = AblationConfig(
         scenes=args.scene_config(),
@@ -139,8 +139,8 @@ def _ablation(args: Arguments) -> str:
         validation=args.validation,
     )
     out = args.folder()
-    with tqdm(desc=args.part, bar_format="{desc} · {elapsed}") as bar:
-        table = run_ablation(config, out, args.workers, bar.set_description_str)
+    with ProgressBar(desc=args.part, bar_format="{desc} · {elapsed}{postfix}") as bar:
+        table = run_ablation(config, out, args.places(), bar.set_description_str)
     results = args.json or out / "results.json"
     save_summary(results, table)
     return f"{segmentation_ablation_table(table)}\nnumbers   {results}"

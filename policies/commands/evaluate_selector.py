@@ -11,6 +11,7 @@ from binpick_env.parts.label import part_label
 from perception.segmentation.choices import NetworkName
 from policies.commands.cell_arguments import CellArguments, evaluated
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 from policies.selection.choices import HEURISTICS
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(CellArguments):
+class Arguments(WorkerArguments, CellArguments):
     """Let grasp selectors pick the same bins and compare what they deliver.
 
     Every bin is saved as soon as it is finished: the same command resumes where it was stopped. These options make
@@ -59,7 +60,7 @@ class Arguments(CellArguments):
         from policies.evaluation.jobs import Job
 
         name = f"selectors-{part_label(self.part)}-{self.perception}-{self.sensor}-{self.seed}"
-        return Job(out=self.out or Path("runs") / name, bins=self.bins, workers=self.workers)
+        return Job(out=self.out or Path("runs") / name, bins=self.bins, workers=self.places())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -76,8 +77,7 @@ def run(args: Arguments) -> int:
 
 
 def _compare(args: Arguments) -> str:
-    from tqdm import tqdm
-
+    from policies.commands.progress import ProgressBar
     from policies.evaluation.conditions import conditions
     from policies.selection.evaluation import (
         check_comparable,
@@ -90,7 +90,7 @@ def _compare(args: Arguments) -> str:
     config, job = args.config(), args.job()
     check_comparable(args.selectors)
     config.check()
-    with tqdm(total=args.bins * len(args.selectors), unit="bin", smoothing=0) as bar:
+    with ProgressBar(total=args.bins * len(args.selectors), unit="bin", smoothing=0) as bar:
 
         def on_bin(name: str, record: "BinRecord") -> None:
             bar.set_postfix(selector=name, last=f"{record.delivered}/{record.parts_total} parts")

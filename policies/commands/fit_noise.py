@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import CellArguments
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 if TYPE_CHECKING:
     from binpick_env.evaluation.noise import ClassRates, NoiseBins, ObservedBin
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(CellArguments):
+class Arguments(WorkerArguments, CellArguments):
     """Fit the errors of the learned perception of a part, or of every part: BinPickSelect-v0's pose_noise="learned".
 
     Every bin is saved as soon as it was observed: the same command resumes where it was stopped, and a larger --bins
@@ -56,13 +57,12 @@ def run(args: Arguments) -> int:
 
 
 def _fit(args: Arguments) -> str:
-    from tqdm import tqdm
-
     from binpick_env.evaluation.noise import load_bins, observe_bins
+    from policies.commands.progress import ProgressBar
 
     config = args.config()
-    done = observe_bins(config, args.bins, args.folder(), args.workers)
-    for _ in tqdm(done, total=args.bins, desc=args.part, unit="bin", smoothing=0.02):
+    done = observe_bins(config, args.bins, args.folder(), args.places())
+    for _ in ProgressBar(done, total=args.bins, desc=args.part, unit="bin", smoothing=0.02):
         pass
     bins = load_bins(args.folder(), args.bins)
     text = _fit_every_part(args, bins) if config.many else _fit_part(args, bins)

@@ -10,13 +10,14 @@ from binpick_env.jobs.text_tables import counted
 from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 if TYPE_CHECKING:
     from binpick_env.scenes.synthesis import SceneConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(SceneArguments):
+class Arguments(WorkerArguments, SceneArguments):
     """Drop piles of parts and write their labelled boundary points, one compressed file per scene.
 
     The same command resumes where it was stopped; a larger --count adds scenes to those that are there.
@@ -67,15 +68,14 @@ def run(args: Arguments) -> int:
 
 
 def _generate(args: Arguments) -> str:
-    from tqdm import tqdm
-
     from binpick_env.scenes.synthesis import generate_scenes
     from perception.runtime.files import json_text, write_atomically
     from perception.runtime.provenance import git_commit
+    from policies.commands.progress import ProgressBar
 
     out = args.folder()
-    made = generate_scenes(args.config(), args.count, out, args.workers)
-    with tqdm(made, total=args.count, desc=args.part, unit="scene", smoothing=0.02) as bar:
+    made = generate_scenes(args.config(), args.count, out, args.places())
+    with ProgressBar(made, total=args.count, desc=args.part, unit="scene", smoothing=0.02) as bar:
         count = sum(1 for _ in bar)
         took = float(bar.format_dict["elapsed"])
     if args.json is not None:

@@ -12,6 +12,7 @@ from binpick_env.parts.label import part_label
 from perception.segmentation.choices import NetworkName
 from policies.commands.cell_arguments import CellArguments, evaluated
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 if TYPE_CHECKING:
     from policies.evaluation.config import EvaluationConfig
@@ -24,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(CellArguments):
+class Arguments(WorkerArguments, CellArguments):
     """Pick bins of identical parts and print success rates with intervals.
 
     Every bin is saved as soon as it is finished: the same command resumes where it was stopped.
@@ -105,7 +106,7 @@ class Arguments(CellArguments):
         from policies.evaluation.jobs import Job
 
         media = self.media()
-        return Job(out=self.folder(), bins=self.bins, workers=self.workers, fresh=self.fresh, listeners=media)
+        return Job(out=self.folder(), bins=self.bins, workers=self.places(), fresh=self.fresh, listeners=media)
 
     def media(self) -> "BinMedia":
         """Return what is made of the bins beside their records."""
@@ -159,14 +160,13 @@ def _film_note(args: Arguments) -> str:
 
 
 def _run(config: "EvaluationConfig", job: "Job") -> "list[BinRecord]":
-    from tqdm import tqdm
-
     from perception.runtime.provenance import git_commit
+    from policies.commands.progress import ProgressBar
     from policies.evaluation.jobs import run_job
     from policies.evaluation.tables import found_note
 
     tally = {"attempts": 0, "delivered": 0}
-    with tqdm(total=job.bins, desc=f"{config.part} {config.perception}", unit="bin", smoothing=0) as bar:
+    with ProgressBar(total=job.bins, desc=f"{config.part} {config.perception}", unit="bin", smoothing=0) as bar:
 
         def on_pick(result: "PickResult") -> None:
             tally["attempts"] += result.outcome is not None
@@ -178,6 +178,6 @@ def _run(config: "EvaluationConfig", job: "Job") -> "list[BinRecord]":
             bar.update()
 
         def on_found(found: "Sequence[BinRecord]") -> None:
-            tqdm.write(found_note(found, job.bins, git_commit()))
+            ProgressBar.write(found_note(found, job.bins, git_commit()))
 
         return run_job(config, job, on_bin, on_pick, on_found=on_found)

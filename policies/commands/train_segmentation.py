@@ -12,6 +12,7 @@ from binpick_env.parts.unit import Unit
 from perception.segmentation.training.choices import PresetName
 from policies.commands.cell_arguments import CameraArguments, PileArguments
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 if TYPE_CHECKING:
     from perception.segmentation.training.distributed import Place
@@ -31,7 +32,7 @@ class _WhichParts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments(CameraArguments, PileArguments, _WhichParts):
+class Arguments(WorkerArguments, CameraArguments, PileArguments, _WhichParts):
     """Train a segmentation network on the scenes of one part, one network for several, or one for every part.
 
     The training on one part makes the scenes itself where there are too few, and with preset ours it starts from the

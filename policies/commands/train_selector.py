@@ -9,6 +9,7 @@ from binpick_env.config import Perception
 from binpick_env.parts.label import part_label
 from policies.commands.cell_arguments import CellArguments
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 if TYPE_CHECKING:
     from policies.selection.learning.experience import Cells
@@ -24,7 +25,6 @@ class Common(CellArguments):
     pose_noise: Literal["learned"] | None = None  # learned: true poses get errors such as the learned perception makes
     fast: bool = False  # leave out the physics of an arm that touches nothing
     max_failures: int = 2  # number of consecutive failed attempts that end a bin
-    workers: int = 1  # number of processes, each on one core
     seed: int = 0  # seed of piles, weights and order
     out: Path | None = None  # folder of the training; runs/selector-METHOD-PART-SEED unless given
 
@@ -46,6 +46,7 @@ class Ppo(Common):
     For a last stretch with the real perception, use the same folder, more --picks and --perception learned.
     """
 
+    workers: int = 1  # number of processes, each on one core
     picks: int = 20_000  # number of picks in all
     rollout: int = 128  # number of picks of each process between two updates
     initial: Path | None = None  # selector to start from, such as the bandit's, a .safetensors file
@@ -53,9 +54,10 @@ class Ppo(Common):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bandit(Common):
+class Bandit(WorkerArguments, Common):
     """Log attempts, then fit which grasps are delivered. Bins that are already logged are kept."""
 
+    workers: int = 1  # number of processes, each on one core
     bins: int = 200  # number of bins whose attempts are logged
     behaviour: str = "weighted"  # selector that picks while attempts are logged: a heuristic, or a trained one
     epsilon: float = 0.3  # share of the choices that are random, in [0, 1]
@@ -80,8 +82,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(args: Arguments) -> int:
     """Train; return the exit code."""
+    from binpick_env.jobs.workers import WorkerError
+
     work = (lambda: _train_ppo(args)) if isinstance(args, Ppo) else (lambda: _train_bandit(args))
-    return exit_code(work, (ValueError, OSError, ModuleNotFoundError))
+    return exit_code(work, (ValueError, OSError, ModuleNotFoundError, WorkerError))
 
 
 def _train_ppo(args: Ppo) -> str:
@@ -107,8 +111,7 @@ def _train_ppo(args: Ppo) -> str:
 
 
 def _train_bandit(args: Bandit) -> str:
-    from tqdm import tqdm
-
+    from policies.commands.progress import ProgressBar
     from policies.selection.learning.bandit import BanditConfig
     from policies.selection.learning.bandit_run import train_bandit
     from policies.selection.learning.experience import AttemptLog, Behaviour
@@ -119,8 +122,8 @@ def _train_bandit(args: Bandit) -> str:
     fit = {name: getattr(args, name) for name in ("loss", "epochs", "held_out")}
     config = BanditConfig(network=network, learning_rate=args.rate, **fit)
     behaviour = Behaviour(selector=args.behaviour, epsilon=args.epsilon, tries=args.tries)
-    with tqdm(total=args.bins, unit="bin", smoothing=0) as bar:
+    with ProgressBar(total=args.bins, unit="bin", smoothing=0) as bar:
         log = AttemptLog(folder=args.folder("bandit"), cells=args.cells(), behaviour=behaviour, seed=args.seed)
-        path, last = train_bandit(config, log, args.bins, workers=args.workers, on_bin=lambda _: bar.update())
+        path, last = train_bandit(config, log, args.bins, workers=args.places(), on_bin=lambda _: bar.update())
     judged = f"on held-out bins: {last}" if args.held_out else f"on all bins, fitted: cross-entropy {last.loss:.3f}"
     return f"{judged}\nkept in {path}"

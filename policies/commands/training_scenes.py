@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tqdm import tqdm
-
 from binpick_env.cell.settle import SettleError
 from binpick_env.jobs.text_tables import counted
 from binpick_env.options import CellOptions
@@ -18,6 +16,7 @@ from binpick_env.scenes.timed_synthesis import (
     make_scenes,
 )
 from perception.segmentation.scene import BoundaryScene, SceneError
+from policies.commands.progress import ProgressBar
 
 if TYPE_CHECKING:
     from perception.segmentation.training.distributed import Place
@@ -139,10 +138,10 @@ def _make(args: "Arguments") -> None:
     """Make scenes and show how far that is."""
     budget, folder, before = scene_budget(args), _folder(args), len(_scenes(args))
     print(f"making scenes in {folder}, {_limit(budget, args.minutes)}")
-    made = make_scenes(fine_tuning_scenes(args.options()), folder, budget, args.folder() / STATE, args.workers)
+    made = make_scenes(fine_tuning_scenes(args.options()), folder, budget, args.folder() / STATE, args.places())
     shape = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
     try:
-        with tqdm(total=100, desc="scenes", unit="%", bar_format=shape) as bar:
+        with ProgressBar(total=100, desc="scenes", unit="%", bar_format=shape) as bar:
             for count, making in made:
                 share = count / budget.most if budget.seconds is None else min(making.seconds / budget.seconds, 1.0)
                 bar.n = 100 * share

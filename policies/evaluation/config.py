@@ -18,6 +18,7 @@ from binpick_env.part_limits import require_room
 from binpick_env.parts.part import Part
 from binpick_env.parts.unit import Unit
 from perception.bin import Trust
+from perception.runtime.job_files import local_file
 from perception.runtime.records import RecordError
 from perception.segmentation.choices import NetworkName
 from policies.picking.settings import PickerSettings
@@ -68,7 +69,7 @@ class EvaluationConfig:
                 del values[name]
         if self.network == "grid":  # nor do older runs know other networks
             del values["network"]
-        path = Path(self.part)
+        path = local_file(Path(self.part))
         if path.suffix and path.is_file():
             values["part"] = hashlib.sha256(path.read_bytes()).hexdigest()
         return hashlib.sha256(json.dumps(values, sort_keys=True, default=repr).encode()).hexdigest()[:16]

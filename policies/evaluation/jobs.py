@@ -1,16 +1,16 @@
-"""The map over bins: in this process or in several, resumable, one file per bin.
-
-The processes run on one machine; another scheduler would map :func:`evaluate_bin` likewise, over (config, index).
-"""
+"""The map over bins: in this process, in several or on a cluster, resumable, one file per bin."""
 
 import json
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
-from binpick_env.jobs.process_map import WorkerError, map_indices
+from binpick_env.jobs.folder_work import FolderWork
+from binpick_env.jobs.process_map import map_indices
+from binpick_env.jobs.workers import Cluster, WorkerError, Workers, is_positive
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.records import RecordError
 from perception.runtime.threads import one_core
@@ -38,19 +38,19 @@ class Job:
     Attributes:
         out: Folder of the records; bins whose records it holds already are not computed again.
         bins: Number of bins; a later job in the same folder may ask for more.
-        workers: Number of processes; 1 computes in this one.
+        workers: Number of processes, of which 1 is this one, or a cluster.
         fresh: Whether every bin is computed, even if its record exists already.
         listeners: Makes the listeners that follow each bin, such as pictures; None for none.
     """
 
     out: Path
     bins: int = 10
-    workers: int = 1
+    workers: Workers = 1
     fresh: bool = False
     listeners: ListenerFactory | None = None
 
     def __post_init__(self) -> None:
-        if self.bins < 1 or self.workers < 1:
+        if self.bins < 1 or not is_positive(self.workers):
             raise ValueError(f"bins and workers must be at least 1, got {self.bins} and {self.workers}")
 
     def bin_listeners(self, index: int) -> Sequence[BinListener]:
@@ -76,7 +76,7 @@ def run_job(
         config: All that the records' numbers depend on.
         job: How the records are computed, and the folder that they are kept in.
         on_bin: Called with each record, first with those that exist already.
-        on_pick: Called after each decision, with one worker only.
+        on_pick: Called after each decision of bins that are picked in this process.
         make_cell: Builds environment and picker; it must be importable by name if there are several workers.
         on_found: Called once with the records that exist already, if there are any.
 
@@ -97,11 +97,10 @@ def run_job(
         for record in found.values():
             on_bin(record)
     missing = [index for index in range(job.bins) if index not in found]
-    if job.workers > 1 and len(missing) > 1:
-        fresh = _in_processes(config, job, missing, make_cell)
-    else:
-        fresh = _here(config, job, missing, on_pick, make_cell)
-    for record in fresh:
+    here = _picked_here(job, missing)
+    elsewhere = [index for index in missing if index not in here]
+    fresh = (_here(config, job, here, on_pick, make_cell), _in_processes(config, job, elsewhere, make_cell))
+    for record in chain.from_iterable(fresh):
         found[record.index] = record
         if on_bin is not None:
             on_bin(record)
@@ -162,6 +161,13 @@ def stored_record(config: EvaluationConfig, index: int, out: Path) -> BinRecord 
     return record if fits else None
 
 
+def _picked_here(job: Job, missing: list[int]) -> list[int]:
+    """Return the bins that this process picks: on a cluster those that are filmed, since films are written here."""
+    if isinstance(job.workers, Cluster):
+        return [index for index in missing if job.listeners is not None and job.listeners.needs_bin(index)]
+    return missing if job.workers == 1 or len(missing) < 2 else []
+
+
 def _here(
     config: EvaluationConfig,
     job: Job,
@@ -181,14 +187,15 @@ def _in_processes(
     config: EvaluationConfig, job: Job, missing: list[int], make_cell: CellFactory
 ) -> Iterator[BinRecord]:
     try:
-        yield from map_indices(partial(_work, config, job), missing, job.workers, _start_worker, (make_cell,))
+        work = FolderWork(partial(_work, config, job), job.out)
+        yield from map_indices(work, missing, job.workers, _start_worker, (make_cell,))
     except WorkerError as error:
         raise BinError(str(error)) from error
 
 
-def _work(config: EvaluationConfig, job: Job, index: int) -> BinRecord:
-    record = evaluate_bin(config, index, job.bin_listeners(index), None, _cells)
-    save_record(record, job.out)
+def _work(config: EvaluationConfig, job: Job, folder: Path, index: int) -> BinRecord:
+    record = evaluate_bin(config, index, replace(job, out=folder).bin_listeners(index), None, _cells)
+    save_record(record, folder)
     return record
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from binpick_env.env import BinPickEnv
 from perception.geometry import Floats
+from perception.runtime.job_files import local_file
 from policies.grasping.clearance import RankSettings
 from policies.grasping.outcomes import Abstention, PickResult
 from policies.picking.episode import BinResult, run_bin
@@ -138,7 +139,7 @@ def selector_path(spec: str, *others: str) -> Path:
         ValueError: There is no such file; the text lists the known names.
     """
     for path in (Path(spec), SHIPPED / f"{spec}.safetensors"):
-        if path.suffix == ".safetensors" and path.is_file():
+        if path.suffix == ".safetensors" and local_file(path).is_file():
             return path
     shipped = sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
     known = ", ".join([*SELECTORS, *others, *shipped])

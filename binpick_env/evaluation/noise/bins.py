@@ -16,7 +16,9 @@ from binpick_env.evaluation.noise.comparison import FrameObservation, compare_wi
 from binpick_env.evaluation.segmentation.method import MethodConfig
 from binpick_env.evaluation.segmentation.summary import weights_provenance
 from binpick_env.jobs.folder_config import ensure_same_config
+from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
+from binpick_env.jobs.workers import Workers
 from binpick_env.observation.part_class import PartClass, part_class, size_px
 from binpick_env.options import CellOptions
 from binpick_env.parts.families.generator import VERSION as GENERATOR_VERSION
@@ -119,14 +121,14 @@ class ObservedBin:
             ) from error
 
 
-def observe_bins(config: NoiseBins, count: int, folder: Path, workers: int = 1) -> Iterator[int]:
+def observe_bins(config: NoiseBins, count: int, folder: Path, workers: Workers = 1) -> Iterator[int]:
     """Run the learned perceiver once on each of many settled bins; yield the index of each once its file exists.
 
     Args:
         config: Part, which needs network weights, cell, seed and filling.
         count: Number of bins; those whose files exist are kept.
         folder: Folder of the bins' files; it must not hold bins of another configuration.
-        workers: Number of worker processes.
+        workers: Number of worker processes, or a cluster.
 
     Raises:
         ValueError: The folder holds bins of another configuration, ``count`` is under 1, or there is no such part.
@@ -137,7 +139,7 @@ def observe_bins(config: NoiseBins, count: int, folder: Path, workers: int = 1) 
     ensure_same_config(folder / "bins.json", config.plain(), "bins")
     missing = [index for index in range(count) if not bin_path(folder, index).exists()]
     yield from (index for index in range(count) if index not in missing)
-    yield from map_indices(partial(_observe_bin, config, folder), missing, workers)
+    yield from map_indices(FolderWork(partial(_observe_bin, config), folder), missing, workers)
 
 
 def bin_path(folder: Path, index: int) -> Path:

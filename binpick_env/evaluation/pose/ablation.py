@@ -21,6 +21,7 @@ from binpick_env.evaluation.pose.statistics import (
 )
 from binpick_env.evaluation.pose.summary import NOTE
 from binpick_env.jobs.folder_config import ensure_same_config
+from binpick_env.jobs.workers import Workers
 from binpick_env.scenes.synthesis import OLDER_SETTINGS, SceneConfig, scene_settings
 from perception.geometry import Floats
 from perception.metrics.average_precision import percentile_interval
@@ -161,14 +162,14 @@ class PoseAblationConfig:
 
 
 def run_pose_ablation(
-    config: PoseAblationConfig, out: Path, workers: int = 1, *, fresh: bool = False, report: Report | None = None
+    config: PoseAblationConfig, out: Path, workers: Workers = 1, *, fresh: bool = False, report: Report | None = None
 ) -> PoseAblation:
     """Evaluate every row and tabulate; results that ``out`` holds already are reused.
 
     Args:
         config: Scenes and rows of the table.
         out: Folder of the rows' records.
-        workers: Number of worker processes.
+        workers: Number of worker processes, or a cluster.
         fresh: Whether to compute the records that exist again.
         report: Function that is called with a line of text after each scene.
 

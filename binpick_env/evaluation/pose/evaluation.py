@@ -17,7 +17,9 @@ from binpick_env.evaluation.pose.record import DOUBT_COLUMNS, STAGES, TRIALS, VE
 from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, require_unseen
 from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.jobs.folder_config import ensure_same_config
+from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
+from binpick_env.jobs.workers import Workers, is_positive
 from binpick_env.scenes.synthesis import OLDER_SETTINGS, CapturedScene, SceneConfig, make_scene, scene_settings
 from binpick_env.scenes.whole_part import whole_part_points
 from perception.boundary import BoundaryCloud, extract_boundary
@@ -106,7 +108,7 @@ def evaluate_poses(
     config: PoseEvaluationConfig,
     count: int,
     folder: Path,
-    workers: int = 1,
+    workers: Workers = 1,
     *,
     fresh: bool = False,
     pictures: bool = True,
@@ -117,7 +119,7 @@ def evaluate_poses(
         config: Configuration of the evaluation.
         count: Number of scenes; a later run may ask for more.
         folder: Folder of the records; intact records are kept.
-        workers: Number of worker processes, each on one core. With 1 this process computes, on all cores.
+        workers: Number of worker processes, or a cluster, each on one core. With 1 this process computes, on all cores.
         fresh: Whether to compute the records that exist again.
         pictures: Whether to keep the grey images.
 
@@ -127,7 +129,7 @@ def evaluate_poses(
         FileNotFoundError: The part's or the weights' file does not exist.
         WorkerError: A worker process was killed; every finished scene is kept.
     """
-    if count < 1 or workers < 1:
+    if count < 1 or not is_positive(workers):
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
     config.load()  # before the folder gets a configuration
     if config.method.network is not None:
@@ -143,8 +145,9 @@ def evaluate_poses(
             missing.append(index)
     if missing:
         config.whole_part_points()  # cached on disk, where the workers find it
-    threads = 1 if workers > 1 else len(os.sched_getaffinity(0))
-    yield from map_indices(partial(_save_record, config, folder, threads, pictures), missing, workers)
+    threads = len(os.sched_getaffinity(0)) if workers == 1 else 1
+    work = FolderWork(partial(_save_record, config, threads, pictures), folder)
+    yield from map_indices(work, missing, workers)
 
 
 def evaluate_pose_scene(config: PoseEvaluationConfig, index: int, threads: int = 1, picture: bool = True) -> PoseRecord:
@@ -287,7 +290,7 @@ def _doubts(estimates: Sequence[PoseEstimate]) -> Floats:
     return np.array(rows, np.float64).reshape(-1, len(DOUBT_COLUMNS))
 
 
-def _save_record(config: PoseEvaluationConfig, folder: Path, threads: int, picture: bool, index: int) -> int:
+def _save_record(config: PoseEvaluationConfig, threads: int, picture: bool, folder: Path, index: int) -> int:
     evaluate_pose_scene(config, index, threads, picture).save(record_path(folder, index))
     return index
 

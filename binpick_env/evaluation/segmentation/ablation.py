@@ -17,6 +17,7 @@ from binpick_env.evaluation.segmentation.method import Grouping, MethodConfig, s
 from binpick_env.evaluation.segmentation.summary import load_scores
 from binpick_env.jobs.folder_config import ensure_same_config
 from binpick_env.jobs.process_map import map_indices
+from binpick_env.jobs.workers import Workers
 from binpick_env.parts.label import part_label
 from binpick_env.scenes.synthesis import OLDER_SETTINGS, SceneConfig, generate_scenes, is_of_part, scene_settings
 from perception.metrics.average_precision import ap_summary
@@ -156,14 +157,16 @@ def _seed_of(folder: Path, scenes: SceneConfig) -> int | None:
         return None
 
 
-def run_ablation(config: AblationConfig, out: Path, workers: int = 1, report: Report | None = None) -> AblationTable:
+def run_ablation(
+    config: AblationConfig, out: Path, workers: Workers = 1, report: Report | None = None
+) -> AblationTable:
     """Train, choose thresholds, evaluate and tabulate; results that ``out`` holds already are reused.
 
     Args:
         config: Configuration of the table.
         out: Folder of scenes, weights, chosen thresholds and records.
-        workers: Number of worker processes for scenes and evaluations. Trainings run in this process, on all its cores
-            or on a GPU.
+        workers: Number of worker processes, or a cluster, for scenes and evaluations. Trainings run in this process, on
+            all its cores or on a GPU.
         report: Function that is called with a line of text on the progress.
 
     Raises:
@@ -189,7 +192,7 @@ def run_ablation(config: AblationConfig, out: Path, workers: int = 1, report: Re
     return tabulate(rows, config.settings(), np.random.default_rng(config.scenes.seed))
 
 
-def _scenes(config: AblationConfig, use: Literal["training", "validation"], out: Path, workers: int) -> list[Path]:
+def _scenes(config: AblationConfig, use: Literal["training", "validation"], out: Path, workers: Workers) -> list[Path]:
     """Return the scene files for training or validation: those of the given folder, or generated ones."""
     given: Path | None = getattr(config, use)
     if given is not None:
@@ -207,7 +210,7 @@ class _AblationRun:
 
     config: AblationConfig
     out: Path
-    workers: int
+    workers: Workers
     report: Report
     training: Sequence[Path]
     validation: Sequence[Path]

@@ -14,7 +14,9 @@ import numpy as np
 from binpick_env.evaluation.segmentation.method import MethodConfig, Segmenter, segmenter
 from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord, record_path
 from binpick_env.jobs.folder_config import ensure_same_config
+from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
+from binpick_env.jobs.workers import Workers, is_positive
 from binpick_env.scenes.boundary_quality import wrong_side
 from binpick_env.scenes.synthesis import OLDER_SETTINGS, SceneConfig, is_of_part, make_scene, scene_settings
 from perception.boundary import BoundarySettings, extract_boundary
@@ -53,7 +55,7 @@ def evaluate_scenes(
     config: EvaluationConfig,
     count: int,
     folder: Path,
-    workers: int = 1,
+    workers: Workers = 1,
     *,
     fresh: bool = False,
     pictures: bool = True,
@@ -64,7 +66,7 @@ def evaluate_scenes(
         config: Configuration of the evaluation.
         count: Number of scenes; a later run may ask for more.
         folder: Folder of the records; intact records are kept.
-        workers: Number of worker processes, each on one core. With 1 this process computes, on all cores.
+        workers: Number of worker processes, or a cluster, each on one core. With 1 this process computes, on all cores.
         fresh: Whether to compute the records that exist again.
         pictures: Whether to keep the grey images, two thirds of a record's size.
 
@@ -74,7 +76,7 @@ def evaluate_scenes(
         FileNotFoundError: The part's or the weights' file does not exist.
         WorkerError: A worker process was killed; every finished scene is kept.
     """
-    if count < 1 or workers < 1:
+    if count < 1 or not is_positive(workers):
         raise ValueError(f"count and workers must be at least 1, got {count} and {workers}")
     config.scenes.options().load_part()
     segmenter(config.method)  # before the folder gets a configuration
@@ -86,8 +88,9 @@ def evaluate_scenes(
             yield index
         else:
             missing.append(index)
-    threads = 1 if workers > 1 else len(os.sched_getaffinity(0))
-    yield from map_indices(partial(_save_record, config, folder, threads, pictures), missing, workers)
+    threads = len(os.sched_getaffinity(0)) if workers == 1 else 1
+    work = FolderWork(partial(_save_record, config, threads, pictures), folder)
+    yield from map_indices(work, missing, workers)
 
 
 def evaluate_scene(config: EvaluationConfig, index: int, threads: int = 1, picture: bool = True) -> SceneRecord:
@@ -163,7 +166,7 @@ def _segment(
     return instances, {name: 1000 * float(value) for name, value in zip(STAGES, seconds, strict=True)}
 
 
-def _save_record(config: EvaluationConfig, folder: Path, threads: int, picture: bool, index: int) -> int:
+def _save_record(config: EvaluationConfig, threads: int, picture: bool, folder: Path, index: int) -> int:
     evaluate_scene(config, index, threads, picture).save(record_path(folder, index))
     return index
 

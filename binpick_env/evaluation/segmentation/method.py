@@ -13,6 +13,7 @@ from binpick_env.evaluation.choices import SegmentationKind
 from perception.boundary import BoundaryCloud
 from perception.geometry import Floats
 from perception.instance import Instance, instances_of
+from perception.runtime.job_files import local_file
 from perception.runtime.last_result import LastResult
 from perception.segmentation.grouping.euclidean import euclidean_components
 from perception.segmentation.grouping.group_merging import GroupMergingConfig, merge_groups
@@ -82,7 +83,7 @@ class MethodConfig:
 
     def digest(self) -> str | None:
         """Return the SHA-256 of the weights; None without weights."""
-        return None if self.weights is None else hashlib.sha256(self.weights.read_bytes()).hexdigest()
+        return None if self.weights is None else hashlib.sha256(local_file(self.weights).read_bytes()).hexdigest()
 
 
 class Segmenter:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
+from binpick_env.jobs.workers import Workers
 from perception.runtime.provenance import command_line, git_commit, versions
 from policies.selection.learning.bandit import BanditConfig, Epoch, fit_bandit
 from policies.selection.learning.experience import AttemptLog, Attempts
@@ -19,7 +20,7 @@ def train_bandit(
     log: AttemptLog,
     bins: int,
     *,
-    workers: int = 1,
+    workers: Workers = 1,
     on_bin: Callable[[int], object] | None = None,
 ) -> tuple[Path, Epoch]:
     """Log the attempts in ``bins`` bins, fit the network to them and write it to the folder of the log.
@@ -30,7 +31,7 @@ def train_bandit(
         config: Loss, network and optimiser of the fit.
         log: Folder, cells, behaviour policy and seed; the seed is that of the fit, too.
         bins: Number of bins.
-        workers: Number of processes that log.
+        workers: Number of processes, or a cluster, that log.
         on_bin: Callback with the index of each bin whose attempts are complete.
 
     Returns:

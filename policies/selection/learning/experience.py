@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.config import Perception
+from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
+from binpick_env.jobs.workers import Workers
 from binpick_env.options import CellOptions
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.records import RecordFormat
@@ -161,16 +163,16 @@ class AttemptLog:
                 raise ExperienceError(f"{self.folder} holds attempts in other bins; choose another folder with --out")
         write_atomically(path, json_text(self.plain()))
 
-    def fill(self, bins: Sequence[int], workers: int = 1) -> Iterator[int]:
+    def fill(self, bins: Sequence[int], workers: Workers = 1) -> Iterator[int]:
         """Log the attempts in bins and yield the index of each as it is complete; files that exist are kept.
 
         Args:
             bins: Indices of the bins.
-            workers: Number of processes.
+            workers: Number of processes, or a cluster.
         """
         missing = [index for index in bins if not self.file(index).exists()]
         yield from (index for index in bins if index not in missing)
-        yield from map_indices(partial(log_bin, self), missing, workers)
+        yield from map_indices(FolderWork(partial(_log_bin_in, self), self.folder), missing, workers)
 
     def attempts(self, bins: Sequence[int]) -> Attempts:
         """Read the attempts in bins that have been logged."""
@@ -204,6 +206,10 @@ def log_bin(log: AttemptLog, index: int) -> int:
         observation, over = after, terminated or truncated
     _save(log.file(index), rows, env)
     return index
+
+
+def _log_bin_in(log: AttemptLog, folder: Path, index: int) -> int:
+    return log_bin(replace(log, folder=folder), index)
 
 
 def _environment(cells: Cells) -> GraspSelectionEnv:

@@ -1,0 +1,164 @@
+"""What a worker process of a cluster's node does: it unpacks a job once, then computes index after index.
+
+A node needs nothing but the same build of the project. Files come with the job, and results go back with the bytes of
+the files that the work has written; the node keeps copies and drafts in a temporary folder.
+"""
+
+import fcntl
+import hashlib
+import os
+import pickle
+import shutil
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from binpick_env.jobs.build import build, differences
+from binpick_env.jobs.cluster_job import Job, Outcome
+from binpick_env.jobs.folder_work import FolderWork
+from binpick_env.jobs.workers import WorkerError
+from perception.runtime.job_files import JobFile, JobFiles, use_job_files
+from perception.runtime.threads import one_core
+
+_LEFT_OVER = 86_400.0  # age from which the folder of a killed worker is removed [s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LoadedJob:
+    key: str
+    name: str
+    work: Callable[[int], Any]
+
+
+_loaded: _LoadedJob | None = None  # job of this process
+_begun: set[str] = set()  # names of the work that this process has begun
+
+
+def compute(key: str, required: Mapping[str, str], fetch: Callable[[], Job], index: int) -> Outcome:
+    """Compute one index of a job.
+
+    Args:
+        key: Identifies the job.
+        required: Build of the process that started the job.
+        fetch: Returns the job; called once in each process.
+        index: Index to compute.
+
+    Raises:
+        WorkerError: This node runs another build.
+    """
+    global _loaded
+    if _loaded is None or _loaded.key != key:
+        _require_build(required)
+        _loaded = _load(key, fetch())
+    with _compiled_once(_loaded.name), one_core():
+        if isinstance(_loaded.work, FolderWork):
+            return _in_own_folder(_loaded.work, index)
+        return Outcome(result=_loaded.work(index), files={})
+
+
+def node_folder() -> Path:
+    """Return the folder of this user's files on this node, which is created.
+
+    Raises:
+        WorkerError: It belongs to another user.
+    """
+    folder = Path(tempfile.gettempdir()) / f"binpick-node-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.stat().st_uid != os.getuid():
+        raise WorkerError(f"{folder} on {socket.gethostname()} must belong to the user of the worker: remove it")
+    return folder
+
+
+def _require_build(required: Mapping[str, str]) -> None:
+    if different := "; ".join(differences(required, build())):
+        raise WorkerError(
+            f"the node {socket.gethostname()} runs another build of binpick than this machine ({different}): install "
+            "the same one on every node"
+        )
+
+
+def _load(key: str, job: Job) -> _LoadedJob:
+    use_job_files(_unpacked(job))
+    cv2.setNumThreads(1)
+    work, initializer, initargs = pickle.loads(job.work)
+    if initializer is not None:
+        initializer(*initargs)
+    _remove_left_over()
+    return _LoadedJob(key=key, name=job.name, work=work)
+
+
+def _unpacked(job: Job) -> JobFiles:
+    """Write the files of a job into the node's folder, once per node."""
+    digest = hashlib.sha256(pickle.dumps((job.files, sorted(job.weights.items())))).hexdigest()[:16]
+    folder = node_folder() / "inputs" / digest
+    copies = {file: folder / str(k) / Path(file.names[-1]).name for k, file in enumerate(job.files)}
+    weights = folder / "weights"
+    with _locked("inputs"):
+        if not folder.exists():
+            draft = folder.with_name(f".{digest}")
+            shutil.rmtree(draft, ignore_errors=True)
+            for file, copy in copies.items():
+                _write(draft / copy.relative_to(folder), file.content)
+            for name, content in job.weights.items():
+                _write(draft / "weights" / name, content)
+            draft.mkdir(parents=True, exist_ok=True)  # a job may have no files
+            draft.rename(folder)
+    found = {name: JobFile(resolved=file.names[-1], copy=copy) for file, copy in copies.items() for name in file.names}
+    return JobFiles(start=job.start, files=found, weights=weights)
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+
+
+def _in_own_folder(work: FolderWork[Any], index: int) -> Outcome:
+    """Compute an index in a new folder, and take the files out of it."""
+    drafts = node_folder() / "drafts"
+    drafts.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=drafts) as name:
+        folder = Path(name)
+        result = work.function(folder, index)
+        written = sorted(filter(Path.is_file, folder.rglob("*")), key=lambda path: path.stat().st_mtime_ns)
+        files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in written}
+    return Outcome(result=result, files=files)
+
+
+def _remove_left_over() -> None:
+    """Remove the folders that killed workers have left."""
+    for folder in (node_folder() / "drafts").glob("*"):
+        if time.time() - folder.stat().st_mtime > _LEFT_OVER:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _compiled_once(name: str) -> Iterator[None]:
+    """Let the first work of a kind be computed alone on a node: it compiles the kernels that others then load."""
+    if name in _begun:
+        yield
+        return
+    _begun.add(name)
+    facts = (*build().items(), str(Path(__file__).parent), os.environ.get("NUMBA_CACHE_DIR"), name)
+    done = node_folder() / f"compiled-{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"
+    if not done.exists():
+        with _locked(done.name):
+            if not done.exists():
+                yield
+                done.touch()
+                return
+    yield
+
+
+@contextmanager
+def _locked(name: str) -> Iterator[None]:
+    """Keep other processes of this node out; the lock of a process that is killed is released."""
+    with (node_folder() / f"{name}.lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

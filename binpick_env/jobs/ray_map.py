@@ -1,0 +1,229 @@
+"""Map work over the nodes of a Ray cluster. Ray is imported only where a cluster is asked for."""
+
+import os
+import socket
+import time
+import uuid
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from typing import Any, TypeVar
+
+from binpick_env.jobs.build import build
+from binpick_env.jobs.cluster_job import Job, Outcome
+from binpick_env.jobs.folder_work import FolderWork
+from binpick_env.jobs.workers import LOCAL, Cluster, WorkerError
+from perception.runtime.provenance import COMMIT, git_commit
+from perception.runtime.threads import THREAD_VARIABLES
+
+Result = TypeVar("Result")
+ATTEMPTS = 4  # number of workers that are lost over an index before it is given up
+_REFRESH = 2.0  # time after which nodes are counted again [s]
+_PATIENCE = 30.0  # time without a head node, or without a node that computes, after which the cluster is lost [s]
+_STORE = 512 * 1024**2  # memory for results on their way in a cluster of this machine [bytes]
+_PASSED_ON = ("MUJOCO_GL", "PYOPENGL_PLATFORM")  # variables that choose what draws pictures
+_GIVEN_UP = (
+    "index {index} was given up, since {attempts} workers were lost over it, perhaps for want of memory: try fewer "
+    "workers, that is fewer CPUs on each node (ray start --num-cpus)"
+)
+_HELP = "see docs/howto/cluster.md, and `ray status` on the head node"
+
+_joined: Cluster | None = None  # the cluster that this process has joined
+_nodes = 0  # number of nodes that compute
+
+
+def nodes_in_use() -> int:
+    """Return the number of nodes that compute for this process, 0 without a cluster."""
+    return _nodes
+
+
+def map_on_cluster(
+    work: Callable[[int], Result],
+    indices: Sequence[int],
+    cluster: Cluster,
+    initializer: Callable[..., None] | None = None,
+    initargs: tuple[Any, ...] = (),
+) -> Iterator[Result]:
+    """Yield ``work(index)`` for every index in order of completion, each computed on one core of a node.
+
+    An index whose worker or node is lost is computed again. The files of a :class:`FolderWork` are in its folder when
+    its result is yielded.
+
+    Args:
+        work: Function of an index; it must be picklable. Files that it names by a path or a text travel with it.
+        indices: Indices to compute.
+        cluster: Where they are computed.
+        initializer: Function that each worker process calls once.
+        initargs: Arguments of the initializer.
+
+    Raises:
+        WorkerError: Ray is not installed, the cluster cannot be joined or is lost, a node runs another build of the
+            project, or the workers of an index were killed again and again. The results yielded before remain valid.
+    """
+    if not indices:
+        return
+    started = _Started(_join(cluster), Job.of(work, initializer, initargs))
+    todo, lost = deque(indices), Counter[int]()
+    try:
+        while todo or started.indices:
+            while todo and started.has_room():
+                started.submit(todo.popleft())
+            for index, outcome in started.finished():
+                if outcome is None:  # its worker is lost
+                    lost[index] += 1
+                    if lost[index] == ATTEMPTS:
+                        raise WorkerError(_GIVEN_UP.format(index=index, attempts=ATTEMPTS))
+                    todo.append(index)
+                    continue
+                if isinstance(work, FolderWork):
+                    work.keep(outcome.files)
+                yield outcome.result
+    finally:
+        started.cancel()
+
+
+class _Started:
+    """The indices that are being computed, and the nodes that do it."""
+
+    def __init__(self, ray: Any, job: Job) -> None:
+        variables = dict.fromkeys(THREAD_VARIABLES, "1") | {COMMIT: git_commit()}
+        variables |= {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
+        self.nodes = _Nodes(ray)
+        self.indices: dict[Any, int] = {}  # by the references of their outcomes
+        self._ray = ray
+        self._arguments = (uuid.uuid4().hex, dict(build()), [ray.put(job)])  # in a list, it is fetched when asked for
+        options = {"num_cpus": 1, "max_retries": 0, "runtime_env": {"env_vars": variables}}
+        self._task = ray.remote(_task()).options(**options)
+
+    def has_room(self) -> bool:
+        """Tell whether more indices should be submitted."""
+        return len(self.indices) < self.nodes.room()
+
+    def submit(self, index: int) -> None:
+        """Let a node compute an index when one of its cores is free."""
+        self.indices[self._task.remote(*self._arguments, index)] = index
+
+    def finished(self) -> Iterator[tuple[int, Outcome | None]]:
+        """Yield each index that is computed, with None if its worker or node was lost; none if it takes long.
+
+        Raises:
+            WorkerError: The cluster is lost, or a node is unsuitable. What the work raises is raised unchanged.
+        """
+        ready, _ = self._ray.wait(list(self.indices), timeout=_REFRESH)
+        self.nodes.refresh()
+        for reference in ready:
+            yield self.indices.pop(reference), self._outcome(reference)
+
+    def _outcome(self, reference: Any) -> Outcome | None:
+        kinds = self._ray.exceptions
+        try:
+            outcome: Outcome = self._ray.get(reference)
+        except kinds.RayTaskError as error:
+            raise _cause(error) from error
+        except (kinds.WorkerCrashedError, kinds.NodeDiedError, kinds.OutOfMemoryError, kinds.ObjectLostError):
+            return None
+        except kinds.RayError as error:
+            raise WorkerError(f"the cluster is lost ({error}); {_HELP}") from error
+        return outcome
+
+    def cancel(self) -> None:
+        """Stop what is being computed: files are written here, and atomically, so only unfinished work is lost."""
+        global _nodes
+        for reference in self.indices:
+            with suppress(Exception):  # of a cluster that is lost
+                self._ray.cancel(reference, force=True)
+        _nodes = 0
+
+
+def _cause(error: Any) -> BaseException:
+    """Return what the work raised."""
+    cause: BaseException = error.cause
+    if isinstance(cause, ModuleNotFoundError) and (cause.name or "").split(".")[0] == "binpick_env":
+        return WorkerError("a node of the cluster has no binpick: install the same build on every node")
+    return cause
+
+
+class _Nodes:
+    """The nodes that compute, counted every few seconds."""
+
+    def __init__(self, ray: Any) -> None:
+        self._ray = ray
+        self._head = ray.get_runtime_context().gcs_address
+        self._cores = 0
+        self._seen = self._counted = time.monotonic()
+        self._count()
+
+    def room(self) -> int:
+        """Return how many indices to submit: every core stays busy, and a cluster sees that it may grow."""
+        return 2 * self._cores + 4
+
+    def refresh(self) -> None:
+        """Count the nodes, if it is time.
+
+        Raises:
+            WorkerError: For long, no head node or no other node has been there.
+        """
+        now = time.monotonic()
+        if now - self._counted < _REFRESH:
+            return
+        if _is_reachable(self._head):  # first: Ray would end this process for want of a head node
+            self._count()
+            if self._cores:
+                self._seen = time.monotonic()
+        self._counted = time.monotonic()
+        if self._counted - self._seen > _PATIENCE:
+            raise WorkerError(f"the cluster at {self._head} is lost, or none of its nodes computes; {_HELP}")
+
+    def _count(self) -> None:
+        global _nodes
+        cores = [int(node["Resources"].get("CPU", 0)) for node in self._ray.nodes() if node["Alive"]]
+        self._cores, _nodes = sum(cores), sum(each > 0 for each in cores)
+
+
+def _is_reachable(address: str) -> bool:
+    host, _, port = address.rpartition(":")
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=1.0):
+            return True
+    except OSError:
+        return False
+
+
+def _join(cluster: Cluster) -> Any:
+    """Return Ray, connected to the cluster."""
+    global _joined
+    try:
+        import ray
+    except ModuleNotFoundError as error:
+        raise WorkerError("a cluster needs Ray, which is not installed: pip install 'binpick[cluster]'") from error
+    if ray.is_initialized():
+        if _joined in (None, cluster):  # None: the caller's own program has joined one
+            return ray
+        ray.shutdown()
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent anywhere
+    quiet = {"log_to_driver": False, "logging_level": "WARNING", "include_dashboard": None}
+    try:
+        if cluster.address == LOCAL:
+            # As processes of this machine, whose priority Ray would lower.
+            fair = {"worker_niceness": 0}
+            quiet["include_dashboard"] = False
+            ray.init(LOCAL, num_cpus=cluster.workers, object_store_memory=_STORE, _system_config=fair, **quiet)
+        else:
+            ray.init(cluster.address, **quiet)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        raise WorkerError(f"the cluster {cluster.address} cannot be joined ({error}); {_HELP}") from error
+    _joined = cluster
+    return ray
+
+
+def _task() -> Callable[..., Outcome]:
+    """Return the function of a task, which is pickled by value: a node without the project can say so."""
+
+    def compute_index(key: str, required: dict[str, str], job: list[Any], index: int) -> Any:
+        import ray
+
+        from binpick_env.jobs.node import compute
+
+        return compute(key, required, lambda: ray.get(job[0]), index)
+
+    return compute_index

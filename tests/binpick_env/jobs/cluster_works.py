@@ -1,0 +1,88 @@
+"""Works that the tests of a cluster compute on its nodes; worker processes import this module."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from binpick_env.parts.part import load_part
+from perception.segmentation.weights import user_folder
+
+_start = "untouched"
+
+
+def remember(name: str) -> None:
+    global _start
+    _start = name
+
+
+def circumstances(index: int) -> tuple[int, int, str, dict[str, int]]:
+    """Return where an index is computed, and the numbers of threads."""
+    import cv2
+    import numba
+    import torch
+
+    threads = {
+        "OpenMP": int(os.environ["OMP_NUM_THREADS"]),
+        "numba": numba.get_num_threads(),
+        "OpenCV": cv2.getNumThreads(),
+        "torch": torch.get_num_threads(),
+    }
+    return index, os.getpid(), _start, threads
+
+
+def square(index: int) -> int:
+    return index * index
+
+
+def fail_at(which: int, index: int) -> int:
+    if index == which:
+        raise FloatingPointError(f"index {index} diverged")
+    return index
+
+
+def die_once(folder: Path, which: int, index: int) -> int:
+    """Kill this process, but not that of the second attempt."""
+    if index == which and not (folder / "died").exists():
+        (folder / "died").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return index
+
+
+def die(index: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return index
+
+
+def linger(folder: Path, index: int) -> int:
+    """Return index 0; for another one write the id of this process, and keep running."""
+    if index == 0:
+        return index
+    draft = folder / f"draft {index}"
+    draft.write_text(str(os.getpid()))
+    draft.rename(folder / "pid")
+    time.sleep(600)
+    return index
+
+
+def write_letters(count: int, folder: Path, index: int) -> int:
+    """Write files into a folder that holds nothing else, one of them below it."""
+    assert list(folder.iterdir()) == []
+    (folder / "more").mkdir()
+    (folder / "more" / f"first {index}.bin").write_bytes(bytes(range(count)))
+    time.sleep(0.02)  # longer than the resolution of a file's time
+    (folder / f"last {index}.txt").write_text("ß" * index, encoding="utf-8")
+    return index
+
+
+def weigh_without_the_file(part: str, index: int) -> tuple[float, str, str]:
+    """Remove a part's file and load the part."""
+    Path(part).unlink(missing_ok=True)
+    os.chdir("/")
+    loaded = load_part(part)
+    return loaded.mass, loaded.source, loaded.model.name
+
+
+def installed(index: int) -> dict[str, bytes]:
+    """Return the files of the installed weights."""
+    return {path.name: path.read_bytes() for path in user_folder().iterdir()}

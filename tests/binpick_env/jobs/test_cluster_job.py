@@ -1,0 +1,60 @@
+"""A job takes along the files that it names, and nothing else."""
+
+import pickle
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from binpick_env.jobs.cluster_job import Job
+from binpick_env.jobs.folder_work import FolderWork
+from binpick_env.scenes.synthesis import SceneConfig
+
+
+def work(config: object, folder: Path, index: int) -> int:
+    return index
+
+
+@pytest.fixture
+def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory: a part, a link to it, a network, and files that no job names."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "gear.stl").write_bytes(b"a gear")
+    (tmp_path / "link.stl").symlink_to(tmp_path / "parts" / "gear.stl")
+    (tmp_path / "net.safetensors").write_bytes(b"a network")
+    (tmp_path / "other.stl").write_bytes(b"another part")
+    (tmp_path / "tee").write_bytes(b"no part, though it has a part's name")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("BINPICK_CACHE", str(tmp_path / "cache"))
+    return tmp_path
+
+
+def test_files_travel_whether_they_are_named_by_a_text_or_a_path(start: Path) -> None:
+    given = {"scenes": SceneConfig(part="parts/gear.stl"), "weights": start / "net.safetensors", "name": "tee"}
+    job = Job.of(FolderWork(partial(work, given), start / "out"), None, ())
+    gear, net = str(start.resolve() / "parts" / "gear.stl"), str(start.resolve() / "net.safetensors")
+    assert {file.names: file.content for file in job.files} == {(gear, gear): b"a gear", (net, net): b"a network"}
+    assert job.start == str(start.resolve())
+
+
+def test_a_link_is_known_by_both_names(start: Path) -> None:
+    (file,) = Job.of(partial(work, "link.stl"), None, ()).files
+    assert file.names == (str(start.resolve() / "link.stl"), str(start.resolve() / "parts" / "gear.stl"))
+
+
+def test_what_the_initializer_names_travels_too(start: Path) -> None:
+    job = Job.of(partial(work, "x" * 5000 + ".stl"), print, ("other.stl",))
+    assert [file.content for file in job.files] == [b"another part"]
+    assert pickle.loads(job.work)[1:] == (print, ("other.stl",))
+
+
+def test_installed_weights_travel_by_their_names(start: Path) -> None:
+    assert Job.of(work, None, ()).weights == {}  # type: ignore[arg-type]
+    (start / "cache" / "weights").mkdir(parents=True)
+    (start / "cache" / "weights" / "tee.safetensors").write_bytes(b"tee")
+    assert Job.of(work, None, ()).weights == {"tee.safetensors": b"tee"}  # type: ignore[arg-type]
+
+
+def test_a_job_has_the_name_of_its_function(start: Path) -> None:
+    whole = FolderWork(partial(partial(work, 1)), start)
+    assert Job.of(whole, None, ()).name == f"{__name__}.work"

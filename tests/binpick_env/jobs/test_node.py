@@ -1,0 +1,140 @@
+"""A node computes in folders of its own, with the files that came with the job."""
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from binpick_env.jobs import node
+from binpick_env.jobs.build import build
+from binpick_env.jobs.cluster_job import Job, Outcome
+from binpick_env.jobs.folder_work import FolderWork
+from binpick_env.jobs.workers import WorkerError
+from perception.runtime.job_files import local_file, resolved_path, use_job_files
+
+started: list[str] = []
+
+
+@pytest.fixture(autouse=True)
+def fresh_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A node that has computed nothing; its working directory is another one than the job's."""
+    (tmp_path / "node").mkdir()
+    (tmp_path / "start").mkdir()
+    monkeypatch.setattr(node.tempfile, "tempdir", str(tmp_path / "node"))
+    monkeypatch.setattr(node, "_loaded", None)
+    monkeypatch.setattr(node, "_begun", set())
+    monkeypatch.chdir(tmp_path / "start")
+    started.clear()
+    yield tmp_path / "node" / f"binpick-node-{os.getuid()}"
+    use_job_files(None)
+
+
+def begin(name: str) -> None:
+    started.append(name)
+
+
+def read(path: str, index: int) -> tuple[int, bytes, str]:
+    return index, local_file(Path(path)).read_bytes(), resolved_path(Path(path))
+
+
+def write(folder: Path, index: int) -> str:
+    (folder / "b").mkdir()
+    (folder / "b" / "z.txt").write_text("first")
+    os.utime(folder / "b" / "z.txt", (1, 1))
+    (folder / "a.txt").write_text("last")
+    return folder.name
+
+
+def compute(job: Job, index: int, key: str = "job") -> Outcome:
+    return node.compute(key, dict(build()), lambda: job, index)
+
+
+def test_a_file_is_read_though_it_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    original = tmp_path / "start" / "gear.stl"
+    original.write_bytes(b"a gear")
+    job = Job.of(partial(read, "gear.stl"), begin, ("initialized",))
+    original.unlink()
+    monkeypatch.chdir("/")
+    name = str(original.resolve())
+    assert compute(job, 3).result == (3, b"a gear", name)
+    assert node.compute("job", dict(build()), lambda: pytest.fail("the job is loaded"), 4).result[0] == 4
+    assert started == ["initialized"]
+    assert compute(job, 5, "a later job").result == (5, b"a gear", name)
+    assert started == ["initialized", "initialized"]
+
+
+def test_the_files_of_a_job_are_written_once_per_node(fresh_node: Path, tmp_path: Path) -> None:
+    (tmp_path / "start" / "gear.stl").write_bytes(b"a gear")
+    job = Job.of(partial(read, "gear.stl"), None, ())
+    compute(job, 0)
+    (copy,) = fresh_node.rglob("gear.stl")
+    written = copy.stat().st_mtime_ns
+    compute(job, 0, "another process")
+    assert copy.stat().st_mtime_ns == written
+    assert [path for path in fresh_node.rglob(".*")] == []
+
+
+def test_what_was_written_comes_back_in_the_order_of_writing(fresh_node: Path, tmp_path: Path) -> None:
+    outcome = compute(Job.of(FolderWork(write, tmp_path / "kept"), None, ()), 0)
+    assert list(outcome.files.items()) == [("b/z.txt", b"first"), ("a.txt", b"last")]
+    assert outcome.result != "kept"
+    assert not (tmp_path / "kept").exists()
+    assert list((fresh_node / "drafts").iterdir()) == []
+
+
+def test_another_build_is_refused() -> None:
+    job = Job.of(partial(read, ""), None, ())
+    with pytest.raises(WorkerError, match=r"than this machine \(numpy: 0.1, .*\): install the same one on every node"):
+        node.compute("job", {**build(), "numpy": "0.1"}, lambda: job, 0)
+
+
+def test_a_folder_of_another_user_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    user = os.getuid()
+    monkeypatch.setattr(node.os, "getuid", lambda: user + 1)
+    with pytest.raises(WorkerError, match=rf"binpick-node-{user + 1} on .* must belong to the user of the worker"):
+        node.node_folder()
+
+
+def test_folders_of_killed_workers_are_removed_after_a_day(fresh_node: Path) -> None:
+    old, new = (node.node_folder() / "drafts" / name for name in ("old", "new"))
+    for folder in (old, new):
+        folder.mkdir(parents=True)
+    os.utime(old, (time.time() - 100_000,) * 2)
+    compute(Job.of(abs, None, ()), -1)
+    assert [path.name for path in (fresh_node / "drafts").iterdir()] == ["new"]
+
+
+def test_the_first_work_of_a_kind_is_computed_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiling, compiled = threading.Event(), threading.Event()
+    order: list[str] = []
+
+    def first() -> None:
+        with node._compiled_once("kind"):
+            compiling.set()
+            compiled.wait(10)
+            order.append("first")
+
+    thread = threading.Thread(target=first)
+    thread.start()
+    assert compiling.wait(10)
+    monkeypatch.setattr(node, "_begun", set())  # as in another process
+    threading.Timer(0.05, compiled.set).start()
+    with node._compiled_once("kind"):
+        order.append("second")
+    thread.join()
+    assert order == ["first", "second"]
+    assert node._begun == {"kind"}
+
+
+def test_a_kind_that_failed_is_compiled_by_the_next_process(fresh_node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(FloatingPointError), node._compiled_once("kind"):
+        raise FloatingPointError
+    assert not [path for path in fresh_node.glob("compiled-*") if path.suffix != ".lock"]
+    monkeypatch.setattr(node, "_begun", set())
+    with node._compiled_once("kind"):
+        pass
+    assert [path for path in fresh_node.glob("compiled-*") if path.suffix != ".lock"]
