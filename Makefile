@@ -31,7 +31,7 @@ $(VENV)/.run-stamp: pyproject.toml constraints.txt | $(BIN)/python
 $(VENV)/.dev-stamp: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "installing binpick with everything for development into $(VENV) ..."
 	$(PIP) torch==2.13.0
-	$(PIP) -e '.[learn,report,viz,cameras,docs,dev]' hatchling
+	$(PIP) -e '.[learn,report,viz,cameras,cluster,docs,dev]' hatchling
 	@touch $@ $(VENV)/.run-stamp
 
 setup: $(VENV)/.dev-stamp  ## make .venv with everything for development
@@ -49,7 +49,7 @@ test-fast: $(VENV)/.dev-stamp  ## the tests without long simulations, trainings 
 test-newest:  ## every test on the newest versions of all dependencies, in an environment of its own
 	rm -rf $(NEWEST)
 	$(PYTHON) -m venv $(NEWEST)
-	$(NEWEST)/bin/python -m pip install --disable-pip-version-check --upgrade -e '.[learn,report,viz,cameras,docs,dev]' hatchling
+	$(NEWEST)/bin/python -m pip install --disable-pip-version-check --upgrade -e '.[learn,report,viz,cameras,cluster,docs,dev]' hatchling
 	$(NEWEST)/bin/python -m pip freeze --exclude-editable > $(NEWEST)/versions.txt
 	$(NEWEST)/bin/python -m pytest -n $(JOBS) $(DIST) $(ARGS)
 

@@ -1,4 +1,4 @@
-"""Long jobs: maps over worker processes, folders of results, and the formatting of tables and reports."""
+"""Long jobs: maps over worker processes or clusters, folders of results, and the formatting of tables and reports."""
 
 import lazy_loader as lazy
 

@@ -75,7 +75,7 @@ def test_the_files_of_a_job_are_written_once_per_node(fresh_node: Path, tmp_path
     written = copy.stat().st_mtime_ns
     compute(job, 0, "another process")
     assert copy.stat().st_mtime_ns == written
-    assert [path for path in fresh_node.rglob(".*")] == []
+    assert list(fresh_node.rglob(".*")) == []
 
 
 def test_what_was_written_comes_back_in_the_order_of_writing(fresh_node: Path, tmp_path: Path) -> None:

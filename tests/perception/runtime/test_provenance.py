@@ -26,3 +26,10 @@ def test_outside_of_a_checkout_there_is_no_commit(tmp_path: Path, monkeypatch: p
         provenance, "__file__", str(tmp_path / "site-packages" / "perception" / "runtime" / "provenance.py")
     )
     assert git_commit.__wrapped__() == ""
+
+
+def test_a_node_of_a_cluster_names_the_commit_of_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(provenance.COMMIT, "0123456789ab-dirty")
+    assert git_commit.__wrapped__() == "0123456789ab-dirty"
+    monkeypatch.setenv(provenance.COMMIT, "")  # a job that was started outside of a checkout
+    assert git_commit.__wrapped__() == ""

@@ -3,18 +3,22 @@
 import gc
 import os
 import pickle
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from binpick_env.jobs.process_map import WorkerError
+from binpick_env.jobs import ray_map
+from binpick_env.jobs.workers import Cluster, WorkerError
 from policies.evaluation import jobs
 from policies.evaluation.bin_evaluation import BinError
 from policies.evaluation.config import EvaluationConfig
 from policies.evaluation.jobs import Job, run_job
 from policies.evaluation.records import BinRecord
+from tests.binpick_env.jobs.node_map import node_map
 from tests.policies.evaluation.test_listeners import FileListeners
 from tests.policies.fake_cell import broken_cell, dice_cell
 
@@ -108,3 +112,34 @@ def test_an_interrupt_stops_the_workers(tmp_path: Path, map_here: MapHere) -> No
     gc.collect()
     assert map_here.closed  # `map_indices` ends its processes when it is closed
     assert [path.name for path in tmp_path.glob("bin_*.json")] == ["bin_0000.json"]
+
+
+@pytest.fixture
+def on_node(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> list[int]:
+    """Indices that a cluster is asked for; they are computed as on a node."""
+    asked: list[int] = []
+
+    def count(work: Any, indices: Sequence[int], *others: Any) -> Iterator[Any]:
+        asked.extend(indices)
+        return node_map(work, indices, *others)
+
+    monkeypatch.setattr(ray_map, "map_on_cluster", count)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("node")))
+    monkeypatch.setattr(jobs, "_cells", jobs._cells)
+    return asked
+
+
+def test_a_cluster_gives_the_same_records_and_files(tmp_path: Path, on_node: list[int]) -> None:
+    here, there = (tmp_path / name for name in ("here", "there"))
+    job = Job(out=there, bins=3, workers=Cluster(), listeners=FileListeners())
+    records = run_job(CONFIG, job, make_cell=dice_cell)
+    alone = run_job(CONFIG, replace(job, out=here, workers=1), make_cell=dice_cell)
+    assert on_node == [0, 1, 2]
+    assert [outcome_of(record) for record in records] == [outcome_of(record) for record in alone]
+    assert sorted(path.name for path in there.iterdir()) == sorted(path.name for path in here.iterdir())
+
+
+def test_bins_that_are_filmed_are_picked_here_and_the_others_on_the_cluster(tmp_path: Path, on_node: list[int]) -> None:
+    job = Job(out=tmp_path, bins=3, workers=Cluster(), listeners=FileListeners(needed=(1,)))
+    assert [record.index for record in run_job(CONFIG, job, make_cell=dice_cell)] == [0, 1, 2]
+    assert on_node == [0, 2]

@@ -1,0 +1,34 @@
+"""A map over a cluster without one: each index is computed as a node does it, but in this process."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
+from uuid import uuid4
+
+from binpick_env.jobs import node
+from binpick_env.jobs.build import build
+from binpick_env.jobs.cluster_job import Job
+from binpick_env.jobs.folder_work import FolderWork
+from binpick_env.jobs.workers import Cluster
+from perception.runtime.job_files import use_job_files
+
+Result = TypeVar("Result")
+
+
+def node_map(
+    work: Callable[[int], Result],
+    indices: Sequence[int],
+    cluster: Cluster,
+    initializer: Callable[..., None] | None = None,
+    initargs: tuple[Any, ...] = (),
+) -> Iterator[Result]:
+    """Yield the results as `map_on_cluster` does, the last index first."""
+    job, key = Job.of(work, initializer, initargs), uuid4().hex
+    for index in reversed(indices):
+        try:
+            outcome = node.compute(key, dict(build()), lambda: job, index)
+        finally:
+            use_job_files(None)
+            node._loaded = None
+        if isinstance(work, FolderWork):
+            work.keep(outcome.files)
+        yield outcome.result
