@@ -21,7 +21,7 @@ class SentFile:
 
     Attributes:
         names: Absolute paths on the machine on which the job was started, the one without symbolic links last.
-        content: Its bytes.
+        content: Bytes of the file.
     """
 
     names: tuple[str, ...]

@@ -1,6 +1,7 @@
 """Map work over the nodes of a Ray cluster. Ray is imported only where a cluster is asked for."""
 
 import os
+import pickle
 import socket
 import time
 import uuid
@@ -117,13 +118,14 @@ class _Started:
     def _outcome(self, reference: Any) -> Outcome | None:
         kinds = self._ray.exceptions
         try:
-            outcome: Outcome = self._ray.get(reference)
+            answer: bytes = self._ray.get(reference)
         except kinds.RayTaskError as error:
             raise _cause(error) from error
         except (kinds.WorkerCrashedError, kinds.NodeDiedError, kinds.OutOfMemoryError, kinds.ObjectLostError):
             return None
         except kinds.RayError as error:
             raise WorkerError(f"the cluster is lost ({error}); {_HELP}") from error
+        outcome: Outcome = pickle.loads(answer)  # here, where a result that fails is told from a cluster that does
         return outcome
 
     def cancel(self) -> None:
@@ -150,7 +152,8 @@ class _Nodes:
         self._ray = ray
         self._head = ray.get_runtime_context().gcs_address
         self._cores = 0
-        self._seen = self._counted = time.monotonic()
+        self._missing: float | None = None  # time since which no node computes, or none can be asked
+        self._counted = time.monotonic()
         self._count()
 
     def room(self) -> int:
@@ -166,12 +169,15 @@ class _Nodes:
         now = time.monotonic()
         if now - self._counted < _REFRESH:
             return
-        if _is_reachable(self._head):  # first: Ray would end this process for want of a head node
+        self._counted = now
+        reachable = _is_reachable(self._head)  # first: Ray ends a process that waits for a head node for a minute
+        if reachable:
             self._count()
-            if self._cores:
-                self._seen = time.monotonic()
-        self._counted = time.monotonic()
-        if self._counted - self._seen > _PATIENCE:
+        if reachable and self._cores:
+            self._missing = None
+        elif self._missing is None:
+            self._missing = now
+        elif now - self._missing > _PATIENCE:
             raise WorkerError(f"the cluster at {self._head} is lost, or none of its nodes computes; {_HELP}")
 
     def _count(self) -> None:
@@ -200,30 +206,38 @@ def _join(cluster: Cluster) -> Any:
         if _joined in (None, cluster):  # None: the caller's own program has joined one
             return ray
         ray.shutdown()
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent anywhere
-    quiet = {"log_to_driver": False, "logging_level": "WARNING", "include_dashboard": None}
+    if ":" in cluster.address and not _is_reachable(cluster.address):  # Ray would try for minutes
+        raise WorkerError(f"nothing answers at {cluster.address}, which must be the head node's address; {_HELP}")
     try:
-        if cluster.address == LOCAL:
-            # As processes of this machine, whose priority Ray would lower.
-            fair = {"worker_niceness": 0}
-            quiet["include_dashboard"] = False
-            ray.init(LOCAL, num_cpus=cluster.workers, object_store_memory=_STORE, _system_config=fair, **quiet)
-        else:
-            ray.init(cluster.address, **quiet)
+        ray.init(cluster.address, log_to_driver=False, logging_level="WARNING", **_options(cluster))
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise WorkerError(f"the cluster {cluster.address} cannot be joined ({error}); {_HELP}") from error
     _joined = cluster
     return ray
 
 
-def _task() -> Callable[..., Outcome]:
+def _options(cluster: Cluster) -> dict[str, Any]:
+    """Return the options of a cluster that is started; one that is joined has its own."""
+    if cluster.address != LOCAL:
+        return {}
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent anywhere
+    return {
+        "num_cpus": cluster.workers,
+        "object_store_memory": _STORE,
+        "include_dashboard": False,
+        "_system_config": {"worker_niceness": 0},  # as processes of this machine: Ray's own have the lowest priority
+    }
+
+
+def _task() -> Callable[..., bytes]:
     """Return the function of a task, which is pickled by value: a node without the project can say so."""
 
-    def compute_index(key: str, required: dict[str, str], job: list[Any], index: int) -> Any:
+    def compute_index(key: str, required: dict[str, str], job: list[Any], index: int) -> bytes:
         import ray
+        from cloudpickle import dumps
 
         from binpick_env.jobs.node import compute
 
-        return compute(key, required, lambda: ray.get(job[0]), index)
+        return dumps(compute(key, required, lambda: ray.get(job[0]), index))  # type: ignore[no-any-return]
 
     return compute_index

@@ -35,6 +35,10 @@ def square(index: int) -> int:
     return index * index
 
 
+def open_file(index: int) -> object:
+    return Path(__file__).open()
+
+
 def fail_at(which: int, index: int) -> int:
     if index == which:
         raise FloatingPointError(f"index {index} diverged")

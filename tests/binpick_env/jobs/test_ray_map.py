@@ -123,6 +123,11 @@ def test_a_head_that_listens_is_reachable() -> None:
     assert not ray_map._is_reachable("127.0.0.1:1")
 
 
+def test_a_result_that_cannot_be_pickled_is_an_error_of_the_work() -> None:
+    with pytest.raises(TypeError, match="cannot pickle"):
+        list(map_indices(works.open_file, [1], CLUSTER))
+
+
 def test_a_cluster_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     import ray
 
@@ -216,14 +221,20 @@ def test_ray_is_needed(apart: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_cluster_that_is_not_there_is_named(apart: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ray", FakeRay(ConnectionError("nothing answers")))
-    with pytest.raises(WorkerError, match=r"the cluster host:6379 cannot be joined \(nothing answers\); see docs"):
-        ray_map._join(Cluster(address="host:6379"))
+    monkeypatch.setitem(sys.modules, "ray", FakeRay(ConnectionError("no running instance")))
+    with pytest.raises(WorkerError, match=r"the cluster auto cannot be joined \(no running instance\); see docs"):
+        ray_map._join(Cluster(address="auto"))
+
+
+def test_a_head_that_does_not_answer_is_named_at_once(apart: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", FakeRay())
+    with pytest.raises(WorkerError, match="nothing answers at 127.0.0.1:1, which must be the head node's address"):
+        ray_map._join(Cluster(address="127.0.0.1:1"))
 
 
 def test_a_cluster_is_joined_once_and_left_for_another(apart: None, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = FakeRay()
     monkeypatch.setitem(sys.modules, "ray", fake)
-    for cluster in 2 * [Cluster(address="local", workers=3)] + [Cluster(address="host:6379")]:
+    for cluster in 2 * [Cluster(address="local", workers=3)] + [Cluster(address="auto")]:
         assert ray_map._join(cluster) is fake
-    assert fake.calls == [("local", 3), ("host:6379", None)]
+    assert fake.calls == [("local", 3), ("auto", None)]
