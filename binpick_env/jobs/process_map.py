@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 
 import cv2
 
-from binpick_env.jobs.folder_work import FolderWork as FolderWork
 from binpick_env.jobs.workers import Cluster, Workers
 from binpick_env.jobs.workers import WorkerError as WorkerError
 from perception.runtime.threads import one_core
@@ -28,7 +27,8 @@ def map_indices(
 ) -> Iterator[Result]:
     """Yield ``work(index)`` for every index in order of completion; each worker computes on one core.
 
-    The results are the same wherever they are computed. Work that writes files is a :class:`FolderWork`.
+    The results are the same wherever they are computed. Work that writes files must be a
+    :class:`binpick_env.jobs.folder_work.FolderWork`, or they stay on the node of a cluster.
 
     Args:
         work: Function of an index. It must be picklable; worker processes share no state with this one.

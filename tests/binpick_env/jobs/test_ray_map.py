@@ -228,7 +228,7 @@ def test_a_cluster_that_is_not_there_is_named(apart: None, monkeypatch: pytest.M
 
 def test_a_head_that_does_not_answer_is_named_at_once(apart: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", FakeRay())
-    with pytest.raises(WorkerError, match="nothing answers at 127.0.0.1:1, which must be the head node's address"):
+    with pytest.raises(WorkerError, match=r"nothing answers at 127\.0\.0\.1:1, which must be the head node's address"):
         ray_map._join(Cluster(address="127.0.0.1:1"))
 
 
