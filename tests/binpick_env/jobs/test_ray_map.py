@@ -125,7 +125,7 @@ def test_a_head_that_listens_is_reachable() -> None:
 
 def test_a_result_that_cannot_be_pickled_is_an_error_of_the_work() -> None:
     with pytest.raises(TypeError, match="cannot pickle"):
-        list(map_indices(works.open_file, [1], CLUSTER))
+        list(map_indices(works.make_lock, [1], CLUSTER))
 
 
 def test_a_cluster_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
