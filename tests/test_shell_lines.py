@@ -54,6 +54,12 @@ ELSEWHERE = {  # other shell lines, and what runs them
     "binpick bench frame --against ../before --part tee --repeats 12 --json frame.json": (
         "tests/policies/benchmarks/builds/test_comparison.py compares builds; tests/test_site.py reads the options"
     ),
+    "pip install -c constraints.txt binpick[cluster]": "`make setup` installs all extras",
+    "RAY_worker_niceness=0 ray start --head --port=6379 --disable-usage-stats": "other machines are needed",
+    "RAY_worker_niceness=0 ray start --address=10.0.0.1:6379 --disable-usage-stats": "other machines are needed",
+    "binpick generate-scenes --part tee --count 1000 --cluster 10.0.0.1:6379": (
+        "other machines are needed; tests/binpick_env/jobs/test_ray_map.py joins a cluster of this one"
+    ),
     "rerun bin.rrd": "it opens a window; the recording is read here",
 }
 
