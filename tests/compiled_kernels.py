@@ -1,7 +1,8 @@
-"""Compiles the kernels that most tests use: `python -m tests.compiled_kernels`.
+"""Compiles the kernels that most tests use, and the tests themselves: `python -m tests.compiled_kernels`.
 
-A process that compiles a kernel keeps what the compiler needed, 300 MB for all of them, and two processes that start
-together compile the same ones. Test processes that load kernels from the cache stay small.
+A process that compiles a kernel keeps what the compiler needed, 300 MB for all of them, and one that rewrites the
+assertions of all tests another 200 MB; two processes that start together do both twice. Test processes that load what
+was compiled stay small.
 """
 
 import os
@@ -58,5 +59,7 @@ if __name__ == "__main__":
     if len(sys.argv) > 1:
         compile_kernels(sys.argv[1])
     else:  # side by side
-        started = [subprocess.Popen([sys.executable, "-m", "tests.compiled_kernels", name]) for name in JOBS]
+        collect = ("pytest", "--collect-only", "-q", "-p", "no:cacheprovider")
+        calls = [("tests.compiled_kernels", name) for name in JOBS] + [collect]
+        started = [subprocess.Popen([sys.executable, "-m", *words]) for words in calls]
         sys.exit(max(process.wait() for process in started))

@@ -186,6 +186,8 @@ def _here(
 def _in_processes(
     config: EvaluationConfig, job: Job, missing: list[int], make_cell: CellFactory
 ) -> Iterator[BinRecord]:
+    if not missing:
+        return
     try:
         work = FolderWork(partial(_work, config, job), job.out)
         yield from map_indices(work, missing, job.workers, _start_worker, (make_cell,))

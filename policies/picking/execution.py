@@ -43,7 +43,7 @@ class Execution:
         self._frame_id = env.frame_id
         self._may_look: Callable[[], bool] | None = None
         self.double = False  # whether the carry ended because more than one part was found in the jaw
-        self.emptied = False  # whether the jaw was empty at the end of the carry
+        self.emptied = False  # whether the jaw was empty at the last step of the carry
         self.looked_ahead = False  # whether the next frame was taken during the carry or over the tray
         self.retraced = False  # whether the arm went back the way that it came, which leads through the bin
         self._held: dict[str, bool] = {}  # whether both pads touched a part when closed, lifted and carried
@@ -97,9 +97,9 @@ class Execution:
                     return False
             if k >= lifted and self._carry_kinematically(trajectory, k):
                 break
+            self.emptied = self._env.simulation.gripper_position >= empty
             if k > lifted and self._may_look is not None and not self.looked_ahead and self._may_look():
                 self.look_ahead()
-        self.emptied = self._env.simulation.gripper_position >= empty
         self._held["carried"] = bool(self._env.simulation.gripped())
         return True
 
@@ -148,9 +148,11 @@ class Execution:
     def look_ahead(self) -> None:
         """Take the next frame before the arm is home, unless it is there or is to be taken at home.
 
-        A carry that ends at home has led to the frame that is taken there.
+        A carry that ends at home has led to the frame that is taken there. Where the load was lost, it may lie in the
+        bin, or still be moving.
         """
-        if self._settings.look_ahead and self._env.frame_id == self._frame_id and not self._env.truncated:
+        due = self._env.frame_id == self._frame_id and not self.emptied
+        if self._settings.look_ahead and due and not self._env.truncated:
             self._env.look(ahead=True)
             self.looked_ahead = True
 

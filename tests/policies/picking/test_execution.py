@@ -28,6 +28,7 @@ class NoteEnv:
     jaw: Callable[[int], float] = lambda _: 0.5
     loose: Callable[[int], bool] = lambda _: False
     ends_after: int = 10_000
+    frame_id: int = 0
     target: Floats = field(default_factory=HOME.copy)
     actions: list[np.ndarray] = field(default_factory=list)
 

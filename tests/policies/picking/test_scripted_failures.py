@@ -136,7 +136,7 @@ def open_jaw(action: Floats) -> None:
 def test_a_jaw_that_opens_over_the_bin_drops_the_part_into_it(tees: HandCell) -> None:
     tees.lay(tees.flat())
     fault_from(tees, CARRYING, open_jaw)
-    assert_fails(tees, GraspOutcome.DROPPED)
+    assert_fails(tees, GraspOutcome.DROPPED, frames=2)  # the first one shows a bin that has changed since
     assert (tees.env.events, tees.env.remaining) == ([], 1)
     assert tees.env.workspace.contains(tees.env.simulation.part_centres()[:1]).all()
 
