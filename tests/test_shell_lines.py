@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from binpick_env.jobs.ray_map import leave_cluster
 from perception.capture import write_frame
 from perception.frame import Frame
 from perception.geometry import make_transform
@@ -157,6 +158,7 @@ def run_in(folder: Path, words: tuple[str, ...]) -> Line:
     """Run a call of binpick in a folder and check what it did."""
     (module,) = (command.module for command in COMMANDS if command.name == words[0])
     finished = run(*words, cwd=folder)
+    leave_cluster()  # which the end of a process does
     assert finished.returncode == 0, (words, finished.stderr)
     args = parse(importlib.import_module(module).Arguments, words[0], words[1:])
     line = Line(args=args, folder=folder, shown=finished.stdout)

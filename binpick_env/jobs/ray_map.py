@@ -229,6 +229,16 @@ def _options(cluster: Cluster) -> dict[str, Any]:
     }
 
 
+def leave_cluster() -> None:
+    """Leave the cluster that this process has joined, if any; one that it started ends. Its end does the same."""
+    global _joined
+    if _joined is not None:
+        import ray
+
+        ray.shutdown()
+        _joined = None
+
+
 def _task() -> Callable[..., bytes]:
     """Return the function of a task, which is pickled by value: a node without the project can say so."""
 
