@@ -197,7 +197,7 @@ class Simulation:
         return poses[:, :3, :3] @ self.part.model.centre + poses[:, :3, 3]
 
     def part_speeds(self) -> Floats:
-        """Return the (capacity,) speeds [m/s] that no point of a part exceeds: with its spin; 0 when asleep."""
+        """Return the (capacity,) largest speeds of points within d_max / 2 of a part's centre [m/s]; 0 when asleep."""
         velocity = self.data.qvel[self._part_dof]
         spin = np.linalg.norm(velocity[:, 3:], axis=1) * self.part.model.d_max / 2
         speeds: Floats = np.linalg.norm(velocity[:, :3], axis=1) + spin

@@ -4,6 +4,7 @@ import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from binpick_env.camera.sensor import sensor_model
 from binpick_env.env import BinPickEnv
@@ -62,12 +63,13 @@ class BinView:
 
 
 def _corners(model: mujoco.MjModel, geom: int) -> Floats:
-    """Return (N, 3) points whose hull contains a geom, in its frame [m]."""
+    """Return the (N, 3) corners of a convex shape that contains a geom, in its frame [m]."""
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
         first = model.mesh_vertadr[mesh]
         vertices: Floats = np.array(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], dtype=np.float64)
-        return vertices
+        outer: Floats = vertices[ConvexHull(vertices).vertices]
+        return outer
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners: Floats = model.geom_aabb[geom, :3] + signs * model.geom_aabb[geom, 3:]
     return corners
