@@ -38,6 +38,11 @@ def nodes_in_use() -> int:
     return _nodes
 
 
+def submitted(cores: int) -> int:
+    """Return how many indices are submitted at a time: every core stays busy, and a cluster sees that it may grow."""
+    return 2 * cores + 4
+
+
 def map_on_cluster(
     work: Callable[[int], Result],
     indices: Sequence[int],
@@ -157,8 +162,8 @@ class _Nodes:
         self._count()
 
     def room(self) -> int:
-        """Return how many indices to submit: every core stays busy, and a cluster sees that it may grow."""
-        return 2 * self._cores + 4
+        """Return how many indices to submit."""
+        return submitted(self._cores)
 
     def refresh(self) -> None:
         """Count the nodes, if it is time.

@@ -90,6 +90,45 @@ class Selection(Files, CellArguments):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Cluster:
+    """What results cost on a Ray cluster, measured, and how fast clusters of other sizes would be, simulated."""
+
+    cluster: str = "local"  # cluster that is measured: local starts one on this machine; auto or HOST:PORT joins one
+    seconds: float = 1.0  # mean time of an item on one core [s]
+    spread: float = 0.3  # standard deviation of the time, as a share of its mean
+    megabytes: float = 0.1  # size of an item's result with its files [MB]
+    items: int = 100_000  # number of items
+    cores: tuple[int, ...] = (1, 10, 100, 1000, 10_000)  # numbers of cores of the clusters
+    node_cores: int = 16  # number of cores of a node
+    start: float = 10.0  # time until a new worker begins its first item [s]
+    compilation: float = 60.0  # time that the first item of a node takes longer [s]
+    network: float = 100.0  # rate of the network [MB/s]
+    job: float = 15.0  # size of the files that travel to each node [MB]
+    tasks: int = 200  # number of items in each measurement
+    repeats: int = 5  # number of measurements
+    seed: int = 0  # seed of the times of the items
+    json: Path | None = None  # JSON file to write the result to
+
+    def report(self) -> str:
+        """Measure, simulate, and return the table."""
+        from tqdm import tqdm
+
+        from binpick_env.jobs.workers import Cluster as Place
+        from policies.benchmarks.clusters import Items, Machines, measure_transport, predict, save_prediction
+
+        items = Items(count=self.items, seconds=self.seconds, spread=self.spread, megabytes=self.megabytes)
+        facts = {name: getattr(self, name) for name in ("node_cores", "start", "compilation", "network", "job")}
+        clusters = [Machines(cores=count, **facts) for count in self.cores]
+        place = Place(address=self.cluster, workers=2)
+        rows = list(tqdm(measure_transport(place, self.tasks, self.repeats), desc="cluster", unit="row", total=3))
+        predicted = predict(rows, items, clusters, self.seed)
+        if self.json is not None:
+            save_prediction(self.json, predicted)
+            return f"{predicted}\nkept in   {self.json}"
+        return str(predicted)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Build:
     """What works that two builds are compared by have in common."""
 
@@ -102,7 +141,7 @@ class Build:
     repeats: int = 12  # number of inputs; each build does the work once on each, in turn
     threads: int = 1  # number of threads of each build
 
-    def compare(self) -> str:
+    def report(self) -> str:
         """Do the work in both builds and return the table."""
         from tqdm import tqdm
 
@@ -152,7 +191,7 @@ class Training(Build):
     """This build against another: a training step of the shared network."""
 
 
-Arguments = Cell | Segmentation | Pose | Selection | Frame | Camera | Attempt | Select | Scenes | Training
+Arguments = Cell | Segmentation | Pose | Selection | Cluster | Frame | Camera | Attempt | Select | Scenes | Training
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -166,8 +205,8 @@ def run(args: Arguments) -> int:
 
 
 def _bench(args: Arguments) -> str:
-    if isinstance(args, Build):
-        return args.compare()
+    if isinstance(args, Build | Cluster):
+        return args.report()
     from tqdm import tqdm
 
     from policies.benchmarks.measurement import comparison_table, load_benchmark, save_benchmark

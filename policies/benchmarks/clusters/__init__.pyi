@@ -1,0 +1,9 @@
+from .prediction import Prediction as Prediction
+from .prediction import predict as predict
+from .prediction import save_prediction as save_prediction
+from .schedule import Items as Items
+from .schedule import Machines as Machines
+from .schedule import Schedule as Schedule
+from .schedule import Transport as Transport
+from .schedule import simulate as simulate
+from .transport import measure_transport as measure_transport
