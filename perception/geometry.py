@@ -204,6 +204,19 @@ def pixel_rays(K: Floats, pixels: NDArray[np.number]) -> Floats:
     return np.column_stack([x, y, np.ones(len(pixels))])
 
 
+def ray_lengths(K: Floats, columns: NDArray[np.number], rows: NDArray[np.number]) -> Floats:
+    """Return the (R, C) distances from the camera's centre of the points at depth 1 that pixels show.
+
+    Args:
+        K: (3, 3) camera matrix [px].
+        columns: (C,) columns u of the pixels.
+        rows: (R,) rows v of the pixels.
+    """
+    x, y = (columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1]
+    lengths: Floats = np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
+    return lengths
+
+
 def sampling_step(pixels: int, most: int) -> int:
     """Return the distance of the rows and columns of an image of so many pixels that leave about ``most`` [px]."""
     return max(int(np.ceil(np.sqrt(pixels / most))), 1)

@@ -7,6 +7,7 @@ from typing import Literal
 from perception.capture.calibration import require_length
 
 Axes = Literal["opencv", "opengl"]
+DepthAlong = Literal["axis", "ray"]
 GreySource = Literal["image", "cloud", "none"]
 Source = Literal["depth image", "organised cloud", "projected cloud"]
 
@@ -21,6 +22,8 @@ class ReadOptions:
     # Stored depths that mean "no measurement", besides NaN, infinities, negative values and depths over 1000 km, which
     # always do. None: 0, and 65535 in integers.
     missing: tuple[float, ...] | None = None
+    # What a depth image measures: along the camera's axis, or the distance from its centre along the ray of each pixel.
+    depth_along: DepthAlong = "axis"
     fit: Literal["same", "scale"] = (
         "same"  # how the image's size relates to the calibrated one: equal, or scaled as a whole
     )
@@ -42,6 +45,8 @@ class ReadOptions:
             require_length("scale", self.scale, " (--depth-scale on the command line)")
         if self.fit not in ("same", "scale"):
             raise ValueError(f"fit must be 'same' or 'scale', got {self.fit!r}")
+        if self.depth_along not in ("axis", "ray"):
+            raise ValueError(f"depth_along must be 'axis' or 'ray', got {self.depth_along!r}")
         if self.axes not in ("opencv", "opengl"):
             raise ValueError(f"axes must be 'opencv' or 'opengl', got {self.axes!r}")
         if self.missing is not None and not (isinstance(self.missing, tuple | list) and _are(Real, *self.missing)):
@@ -68,7 +73,7 @@ class ReadOptions:
         about = {
             "recordings": ("a file of one frame", not recording, ("index", "topic", "grey_topic")),
             "clouds": ("a depth image", not cloud, ("axes", "grid", "project")),
-            "depth images": ("a cloud", cloud, ("missing",)),
+            "depth images": ("a cloud", cloud, ("missing", "depth_along")),
         }
         for kind, (got, useless, names) in about.items():
             for name in names if useless else ():

@@ -19,7 +19,7 @@ from perception.capture.options import ReadOptions, ReadReport
 from perception.capture.recordings import is_recording, recording_content, require_rosbags
 from perception.capture.undistortion import undistort
 from perception.frame import Frame
-from perception.geometry import Floats, as_floats
+from perception.geometry import Floats, as_floats, ray_lengths
 
 PathLike = str | Path
 Matrix = NDArray[np.floating] | Sequence[Sequence[float]]
@@ -201,6 +201,9 @@ def _from_depth(
     depth = metres(raw, stated if options.scale is None else options.scale, missing, name)
     _require_registered(content.grey, depth.shape)
     grey, depth = undistort(content.grey, depth, camera)
+    if options.depth_along == "ray":
+        height, width = depth.shape
+        depth = (depth / ray_lengths(camera.K, np.arange(width), np.arange(height))).astype(np.float32)
     frame = Frame(
         grey=_or_zeros(grey, depth.shape),
         depth=depth,

@@ -24,6 +24,7 @@ _OFF_CENTRE = 1.25  # ratio of the principal point and the middle of the image f
 _FITS = 0.5  # share of the measurements that lie in the box if the bin is where it is said to be
 _MISFIT = 0.3  # share below which it is not
 _FEWEST_MEASURED = 0.05  # share of the pixels of the bin below which nothing can be said of its pose
+_LEVELLED = 1.5  # factor by which more pairs of measurements are at one height if depth is a distance: then it is
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # from OpenGL's camera axes (y up, z back) to OpenCV's, and back
 
 
@@ -78,6 +79,8 @@ def geometry_causes(samples: DepthSamples, setup: Setup, poses_found: bool) -> t
             if found is not None:
                 causes.append(found[0])
                 setup = found[1]
+    if not causes:
+        causes += _range(samples, setup)
     return causes, setup
 
 
@@ -111,6 +114,21 @@ def _unit_text(median: float, scale: float, seems: str) -> str:
         f"the median depth is {median:.4g} m: the depth seems to {seems}; multiply it by {scale:g} "
         f"(--depth-scale on the command line, {scale:g} of what it is)"
     )
+
+
+def _range(samples: DepthSamples, setup: Setup) -> list[Cause]:
+    """Suspect distances from the camera's centre in place of depths if they make surfaces level that are not."""
+    T_cam_bin = invert_transform(setup.T_world_cam) @ setup.T_world_bin
+    by_axis = samples.level(setup.K, T_cam_bin, setup.scale)
+    by_ray = samples.level(setup.K, T_cam_bin, setup.scale, along_rays=True)
+    if by_ray <= _LEVELLED * by_axis:
+        return []
+    text = (
+        f"level surfaces are curved in the depth, and {by_ray / by_axis:.1f} times as level if it is taken for the "
+        "distance from the camera's centre: it seems to be that, and not the depth along the camera's axis; divide it "
+        "by sqrt(1 + ((u - cx) / fx)^2 + ((v - cy) / fy)^2) (--depth-along ray on the command line)"
+    )
+    return [Cause(name="depth_range", text=text)]
 
 
 def _no_depth(which: str) -> Cause:

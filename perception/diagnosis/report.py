@@ -8,6 +8,7 @@ from perception.diagnosis.bin_facts import BinFacts
 
 CauseName = Literal[
     "depth_unit",
+    "depth_range",
     "missing_depth",
     "no_depth",
     "sparse_depth",

@@ -21,6 +21,7 @@ _MOST = 16_384  # number of pixels that are looked at; a share of them is exact 
 _TOLERANCE = 0.015  # distance outside the box at which a point still counts as in it: rims, noise, an inexact pose [m]
 _BELOW = 0.05  # depth below the floor down to which a point counts as in the box: the height may be wrong [m]
 _HEADROOM = 0.03  # height above the rim up to which parts are heaped [m]
+_SAME_HEIGHT = 0.002  # difference of heights that count as the same [m]
 _FEWEST_SHOWN = 4  # number of samples below which the bin counts as out of view
 _ODD_SHARE = 0.005  # share of the measurements from which one value that all others are far from is no distance
 _ODD_RATIO = 1.5  # ratio of this value and the nearest other one
@@ -106,6 +107,29 @@ class DepthSamples:
         between = height[(beside[0] <= half[0]) & (beside[1] <= half[1])]
         low = float(np.quantile(between, 0.25)) if len(between) else 0.0
         return BoxFit(inside=float(np.mean(inside)), measured=len(v) / shown, view=view, low=low)
+
+    def level(self, K: Floats, T_cam_bin: Floats, scale: float, *, along_rays: bool = False) -> float:
+        """Return the share of pairs of measurements that are at the same height, to 2 mm; 0 without any.
+
+        It is high where level surfaces such as floor, rim and table are in view, and their depths are what they are
+        taken for.
+
+        Args:
+            K: (3, 3) camera matrix [px].
+            T_cam_bin: (4, 4) assumed pose of the bin in the camera frame; its z axis points upwards.
+            scale: Factor from the frame's depth to metres.
+            along_rays: Whether a depth is taken for the distance from the camera's centre, along the ray of its pixel.
+        """
+        v, u = np.nonzero(self.measured(self.depth))
+        if len(v) == 0:
+            return 0.0
+        rays = pixel_rays(K, np.column_stack([u, v]) * self.step)
+        if along_rays:
+            rays /= np.linalg.norm(rays, axis=1)[:, None]
+        upwards = T_cam_bin[:3, 2]
+        heights = (rays @ upwards) * (self.depth[v, u].astype(np.float64) * scale)
+        _, counts = np.unique(np.floor(heights / _SAME_HEIGHT), return_counts=True)
+        return float(np.sum((counts / len(v)) ** 2))
 
     def _image_of(self, K: Floats, corners_cam: Floats) -> tuple[NDArray[np.uint8], float]:
         """Return the (h, w) mask of the samples that show a box of (8, 3) corners, and the share of it in view."""

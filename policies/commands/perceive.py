@@ -68,6 +68,8 @@ class Arguments:
     depth_scale: float | None = None
     # stored depths that mean "no measurement"; 0, and 65535 in integers, unless given
     missing: tuple[float, ...] | None = None
+    # what a depth image measures: along the camera's axis, or the distance from its centre along the ray of each pixel
+    depth_along: Literal["axis", "ray"] = "axis"
     index: int = 0  # number of the frame in a recording (ROS bag, MCAP, RealSense); negative: from the end
     topic: str | None = None  # topic of the depth images or clouds in a recording; the only one unless given
     # topic of the grey or colour images in a recording, registered to the depth
@@ -225,6 +227,7 @@ class Arguments:
             options=ReadOptions(
                 scale=self.depth_scale,
                 missing=self.missing,
+                depth_along=self.depth_along,
                 index=self.index,
                 topic=self.topic,
                 grey_topic=self.grey_topic,

@@ -93,6 +93,15 @@ def test_missing_values_and_floating_point(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_frame(tmp_path / "b.npy", calibration=calibration).depth, scene_depth())
 
 
+def test_distances_along_the_rays_become_depths(tmp_path: Path) -> None:
+    v, u = np.indices((HEIGHT, WIDTH))
+    rays = np.stack([u, v, np.ones_like(u)], axis=2) @ np.linalg.inv(K).T
+    np.save(tmp_path / "a.npy", (scene_depth() * np.linalg.norm(rays, axis=2)).astype(np.float32))
+    frame = read_frame(tmp_path / "a.npy", calibration=K, options=ReadOptions(depth_along="ray"))
+    np.testing.assert_allclose(frame.depth, scene_depth(), rtol=1e-6)
+    assert not np.allclose(read_frame(tmp_path / "a.npy", calibration=K).depth, scene_depth(), rtol=1e-3)
+
+
 def test_a_unit_that_is_probably_wrong_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     np.save(tmp_path / "a.npy", scene_depth() * 1000)
     with caplog.at_level(logging.INFO):
@@ -240,6 +249,7 @@ def test_files_that_do_not_fit_together_are_refused(depth_file: Path, tmp_path: 
         ({"scale": "mm"}, r"scale must be a positive length \[m\] per unit, got mm"),
         ({"scale": 0.0}, r"scale must be a positive length \[m\] per unit, got 0\.0"),
         ({"fit": "crop"}, "fit must be 'same' or 'scale', got 'crop'"),
+        ({"depth_along": "z"}, "depth_along must be 'axis' or 'ray', got 'z'"),
         ({"axes": "ros"}, "axes must be 'opencv' or 'opengl', got 'ros'"),
         ({"missing": 0}, r"missing must be a tuple of numbers, such as \(0, 65535\), got 0"),
         ({"missing": "65535"}, r"missing must be a tuple of numbers, .*, got '65535'"),

@@ -13,7 +13,7 @@ from perception.diagnosis import FrameReport, PoseCounts, diagnose, log
 from perception.diagnosis.geometry_causes import Setup, geometry_causes
 from perception.diagnosis.samples import DepthSamples
 from perception.frame import Frame, Workspace
-from perception.geometry import invert_transform, make_transform, rotation_about
+from perception.geometry import invert_transform, make_transform, ray_lengths, rotation_about
 from perception.part import PartModel
 from perception.pipeline import perceive_by
 from tests.perception.diagnosis import bin_scene as scene
@@ -171,6 +171,11 @@ SPOILED: dict[str, tuple[Callable[[], tuple[Frame, Workspace]], list[str], str]]
         ["floor_height"],
         "a quarter of what is measured in the bin lies 25 mm or more below its floor",
     ),
+    "distance from the camera's centre": (
+        lambda: (replace(GOOD, depth=distances()), scene.BIN),
+        ["depth_range"],
+        "times as level if it is taken for the distance from the camera's centre",
+    ),
     "no depth": (
         lambda: (replace(GOOD, depth=np.zeros_like(GOOD.depth)), scene.BIN),
         ["no_depth"],
@@ -211,6 +216,11 @@ IN_PARTS = ("of the pixels", "upper left", "half of the bin")  # frames in which
 def noisy() -> np.ndarray:
     noise = 0.001 * np.random.default_rng(1).normal(size=GOOD.depth.shape).astype(np.float32)
     return np.where(GOOD.depth > 0, GOOD.depth + noise, 0)
+
+
+def distances() -> np.ndarray:
+    u, v = np.arange(scene.SIZE[0]), np.arange(scene.SIZE[1])
+    return (GOOD.depth * ray_lengths(GOOD.K, u, v)).astype(np.float32)
 
 
 def right_half() -> Frame:

@@ -64,7 +64,7 @@ def test_the_facts_of_the_good_frame() -> None:
 
 
 def test_a_cause_has_a_known_name_and_each_group_counts_once() -> None:
-    with pytest.raises(ValueError, match=r"name must be one of depth_unit, missing_depth, .*, got 'bad_luck'"):
+    with pytest.raises(ValueError, match=r"name must be one of depth_unit, depth_range, .*, got 'bad_luck'"):
         Cause(name="bad_luck", text="")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="each of the groups must count once, got PoseCounts"):
         PoseCounts(groups=3, found=1, by_score=1)
