@@ -6,12 +6,15 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import platformdirs
 from numpy.typing import NDArray
+
+from perception.runtime.kernel_cache import first_writable
 
 _log = logging.getLogger(__name__)
 Arrays = Mapping[str, NDArray[Any]]
@@ -44,22 +47,39 @@ def cached_arrays(kind: str, key: str, compute: Callable[[], Arrays]) -> Arrays:
 
     Note:
         Files are written atomically, so parallel workers never read half a file. Arrays of an unreadable file are
-        computed again. If the folder cannot be written, a warning is logged.
+        computed again. Where the user's cache folder cannot be written, they are kept in a temporary folder of this
+        user. If that fails, too, or ``$BINPICK_CACHE`` cannot be written, a warning is logged.
     """
-    path = cache_folder() / f"{kind}-{key}.npz"
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except FileNotFoundError:
-        _log.info("preparing the part: %s, once, kept in %s", kind.replace("_", " ").replace("-", " "), path.parent)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        _log.warning("cannot read %s (%s): computing it anew", path, error)
+    name = f"{kind}-{key}.npz"
+    folders = _folders()
+    for folder in folders:
+        try:
+            with (folder / name).open("rb") as file, np.load(file, allow_pickle=False) as stored:
+                return {name: stored[name] for name in stored.files}
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            _log.warning("cannot read %s (%s): computing it anew", folder / name, error)
+    folder = first_writable(folders) or folders[0]
+    _log.info("preparing the part: %s, once, kept in %s", kind.replace("_", " ").replace("-", " "), folder)
     arrays = compute()
     try:
-        _write(path, arrays)
+        _write(folder / name, arrays)
     except OSError as error:
-        _log.warning("cannot write %s: %s", path, error)
+        _log.warning("cannot write %s: %s", folder / name, error)
     return arrays
+
+
+def _folders() -> list[Path]:
+    """Return where arrays are looked for; they are kept in the first one that can be written."""
+    folders = [cache_folder()]
+    if not os.environ.get("BINPICK_CACHE"):
+        spare = Path(tempfile.gettempdir()) / f"binpick-cache-{os.getuid()}"
+        with suppress(OSError):
+            spare.mkdir(mode=0o700, exist_ok=True)
+            if spare.stat().st_uid == os.getuid():
+                folders.append(spare)
+    return folders
 
 
 def _write(path: Path, arrays: Arrays) -> None:

@@ -1,6 +1,8 @@
 """The cache: answers from disk, keys that tell contents apart, and damage that costs time only."""
 
 import logging
+import os
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +79,27 @@ def test_a_folder_that_cannot_be_written_costs_a_warning(
     assert "cannot write" in caplog.text
 
 
+def test_a_read_only_home_costs_nothing_but_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "home").write_text("in the way")
+    monkeypatch.delenv("BINPICK_CACHE", raising=False)
+    monkeypatch.setattr(platformdirs, "user_cache_dir", lambda name: str(tmp_path / "home" / name))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with caplog.at_level(logging.INFO, logger="perception"):
+        cached_arrays("things", "k", table)
+    spare = tmp_path / f"binpick-cache-{os.getuid()}"
+    assert caplog.messages == [f"preparing the part: things, once, kept in {spare}"]
+    np.testing.assert_array_equal(cached_arrays("things", "k", refuse)["a"], table()["a"])
+    assert (spare / "things-k.npz").exists()
+    assert spare.stat().st_mode & 0o777 == 0o700
+    # A folder of another user is not trusted.
+    monkeypatch.setattr(os, "getuid", lambda: spare.stat().st_uid + 1)
+    (tmp_path / f"binpick-cache-{os.getuid()}").mkdir()
+    with pytest.raises(RuntimeError, match="computed"):
+        cached_arrays("things", "k", refuse)
+
+
 def test_a_write_that_fails_leaves_nothing_behind(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def no_space(*_: object, **__: object) -> None:
         raise OSError("no space left on device")
@@ -89,7 +112,7 @@ def test_a_write_that_fails_leaves_nothing_behind(folder: Path, monkeypatch: pyt
 def test_a_failed_computation_is_not_stored(folder: Path) -> None:
     with pytest.raises(RuntimeError, match="computed"):
         cached_arrays("things", "k", refuse)
-    assert not folder.exists()
+    assert list(folder.iterdir()) == []
 
 
 # --- digests
