@@ -7,5 +7,7 @@ from .measurement import save_benchmark as save_benchmark
 from .pose import PoseRow as PoseRow
 from .pose import bench_pose as bench_pose
 from .pose import pose_table as pose_table
+from .scaling import Steps as Steps
+from .scaling import bench_scaling as bench_scaling
 from .segmentation import bench_segmentation as bench_segmentation
 from .selection import bench_selection as bench_selection

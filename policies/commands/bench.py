@@ -90,6 +90,24 @@ class Selection(Files, CellArguments):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Scaling(Files, CellArguments):
+    """A frame to poses with more and more parts, and more and more pixels; everything on one core."""
+
+    counts: tuple[int, ...] = (5, 10, 25, 50, 100)  # numbers of parts in the bin
+    count: int = 25  # number of parts at every width
+    widths: tuple[int, ...] = (640, 1280, 2560)  # widths of the image [px]; its height follows
+    seed: int = 0  # seed of the first pile
+    repeats: int = 3  # number of piles, and frames, of each row
+
+    def measure(self) -> Iterator[Any]:
+        """Yield the rows as they are measured."""
+        from policies.benchmarks.scaling import Steps, bench_scaling
+
+        steps = Steps(counts=self.counts, count=self.count, widths=self.widths)
+        return bench_scaling(self.options(), steps, self.seed, self.repeats)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Cluster:
     """What results cost on a Ray cluster, measured, and how fast clusters of other sizes would be, simulated."""
 
@@ -191,7 +209,9 @@ class Training(Build):
     """This build against another: a training step of the shared network."""
 
 
-Arguments = Cell | Segmentation | Pose | Selection | Cluster | Frame | Camera | Attempt | Select | Scenes | Training
+Arguments = (
+    Cell | Segmentation | Pose | Selection | Scaling | Cluster | Frame | Camera | Attempt | Select | Scenes | Training
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -222,7 +242,7 @@ def _bench(args: Arguments) -> str:
     return "\n".join(lines)
 
 
-def _table(args: Cell | Segmentation | Pose | Selection) -> Callable[[Sequence[Any]], str]:
+def _table(args: Measured) -> Callable[[Sequence[Any]], str]:
     if isinstance(args, Pose):
         from policies.benchmarks.pose import pose_table
 
