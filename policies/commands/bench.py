@@ -209,9 +209,8 @@ class Training(Build):
     """This build against another: a training step of the shared network."""
 
 
-Arguments = (
-    Cell | Segmentation | Pose | Selection | Scaling | Cluster | Frame | Camera | Attempt | Select | Scenes | Training
-)
+Measured = Cell | Segmentation | Pose | Selection | Scaling
+Arguments = Measured | Cluster | Frame | Camera | Attempt | Select | Scenes | Training
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
