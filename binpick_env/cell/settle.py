@@ -1,6 +1,7 @@
 """Dropping parts into the bin until they have come to rest."""
 
 import logging
+import time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ BATCH_PERIOD = 0.12  # time between two releases [s]
 SETTLE_LIMIT = 6.0  # longest time that a pile gets to come to rest after the last release [s]
 SINKING = 0.001  # depth of a centre under the floor [m] up to which it lies on it: soft contacts give way by 0.1 mm
 ATTEMPTS = 5  # number of piles that are tried
+PATIENCE = 15.0  # time after which the log says how far a pile is, and again after twice as long, and so on [s]
 
 
 class SettleError(RuntimeError):
@@ -25,7 +27,7 @@ def drop_and_settle(simulation: Simulation, count: int, rng: np.random.Generator
     """Fill the bin with parts, dropped in random attitudes, four at a time, and wait until all of them sleep.
 
     A part that comes to rest outside of the bin is dropped again. A pile that does not come to rest is started anew,
-    and the log says so.
+    and the log says so. It also says how far a pile is that takes long: many parts take minutes.
 
     Args:
         simulation: Simulation, which is reset first.
@@ -40,12 +42,13 @@ def drop_and_settle(simulation: Simulation, count: int, rng: np.random.Generator
     if not 0 <= count <= simulation.capacity:
         raise ValueError(f"count must be in 0..{simulation.capacity}, got {count}")
     require_room(simulation.part, simulation.config.bin, count)
+    progress = _Progress(count)
     for attempt in range(ATTEMPTS):
         simulation.reset()
         waiting = list(range(count))
         for _ in range(3):
-            _release(simulation, waiting, rng)
-            settled = _settle(simulation)
+            _release(simulation, waiting, rng, progress)
+            settled = _settle(simulation, progress)
             _require_above_floor(simulation)
             if not settled:
                 break
@@ -57,6 +60,23 @@ def drop_and_settle(simulation: Simulation, count: int, rng: np.random.Generator
         f"{counted(count, 'part')} of d_max {simulation.part.model.d_max * 1000:.0f} mm do not come to rest in a bin "
         f"of {simulation.config.bin.inner_size} m; use fewer parts or a larger bin"
     )
+
+
+class _Progress:
+    """Says how far a pile is once it takes long."""
+
+    def __init__(self, count: int) -> None:
+        self._count, self._started, self._next = count, time.monotonic(), PATIENCE
+
+    def tell(self, simulation: Simulation) -> None:
+        """Log the numbers of parts that have been dropped and that lie still, if it is time."""
+        passed = time.monotonic() - self._started
+        if passed < self._next:
+            return
+        self._next *= 2
+        dropped = int(np.count_nonzero(simulation.in_play))
+        still = int(np.count_nonzero(simulation.in_play & simulation.asleep()))
+        log.warning("%d of %d parts are dropped and %d lie still after %.0f s", dropped, self._count, still, passed)
 
 
 def inside_bin(simulation: Simulation) -> NDArray[np.bool_]:
@@ -85,7 +105,7 @@ def _require_above_floor(simulation: Simulation) -> None:
         )
 
 
-def _release(simulation: Simulation, parts: list[int], rng: np.random.Generator) -> None:
+def _release(simulation: Simulation, parts: list[int], rng: np.random.Generator, progress: _Progress) -> None:
     """Release parts in batches of up to four, one in each quadrant, just above the pile."""
     workspace = simulation.config.bin.workspace()
     reach = simulation.part.model.d_max / 2
@@ -101,6 +121,7 @@ def _release(simulation: Simulation, parts: list[int], rng: np.random.Generator)
             T_world_part = workspace.T_world_bin @ make_transform(random_rotation(rng), centre)
             simulation.place(i, T_world_part)
         simulation.advance(BATCH_PERIOD)
+        progress.tell(simulation)
 
 
 def _top(simulation: Simulation) -> float:
@@ -112,7 +133,7 @@ def _top(simulation: Simulation) -> float:
     return float(max(heights.max() + simulation.part.model.d_max / 2, workspace.inner_size[2]))
 
 
-def _settle(simulation: Simulation) -> bool:
+def _settle(simulation: Simulation, progress: _Progress) -> bool:
     """Step until every part in play sleeps; return False after ``SETTLE_LIMIT``, or if the physics diverge."""
     for _ in range(round(SETTLE_LIMIT / 0.05)):
         simulation.advance(0.05)
@@ -120,4 +141,5 @@ def _settle(simulation: Simulation) -> bool:
             return False
         if simulation.asleep()[simulation.in_play].all():
             return True
+        progress.tell(simulation)
     return False

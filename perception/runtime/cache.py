@@ -6,7 +6,6 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 import platformdirs
 from numpy.typing import NDArray
 
-from perception.runtime.kernel_cache import first_writable
+from perception.runtime.kernel_cache import first_writable, temporary_folders
 
 _log = logging.getLogger(__name__)
 Arrays = Mapping[str, NDArray[Any]]
@@ -72,14 +71,7 @@ def cached_arrays(kind: str, key: str, compute: Callable[[], Arrays]) -> Arrays:
 
 def _folders() -> list[Path]:
     """Return where arrays are looked for; they are kept in the first one that can be written."""
-    folders = [cache_folder()]
-    if not os.environ.get("BINPICK_CACHE"):
-        spare = Path(tempfile.gettempdir()) / f"binpick-cache-{os.getuid()}"
-        with suppress(OSError):
-            spare.mkdir(mode=0o700, exist_ok=True)
-            if spare.stat().st_uid == os.getuid():
-                folders.append(spare)
-    return folders
+    return [cache_folder(), *([] if os.environ.get("BINPICK_CACHE") else temporary_folders("cache"))]
 
 
 def _write(path: Path, arrays: Arrays) -> None:

@@ -20,14 +20,26 @@ def use_writable_kernel_cache() -> None:
         return
     from perception.runtime.cache import cache_folder  # here, since every import of the package runs this module
 
-    fallbacks = (cache_folder() / "kernels", Path(tempfile.gettempdir()) / f"binpick-kernels-{os.getuid()}")
-    folder = first_writable(fallbacks)
+    folder = first_writable([cache_folder() / "kernels", *temporary_folders("kernels")])
     if folder is None:
         return  # numba says what it tried
     os.environ[_VARIABLE] = str(folder)
     numba = sys.modules.get("numba")
     if numba is not None:  # it read the environment when it was loaded
         numba.config.CACHE_DIR = str(folder)
+
+
+def temporary_folders(kind: str) -> list[Path]:
+    """Return this user's folder for ``kind`` in the system's temporary folder; none where no such one can be written.
+
+    It belongs to this user alone, since what is in it is trusted.
+    """
+    try:
+        folder = Path(tempfile.gettempdir()) / f"binpick-{kind}-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        return [folder] if folder.stat().st_uid == os.getuid() else []
+    except OSError:  # FileNotFoundError, too, where every place for temporary files is read-only
+        return []
 
 
 def first_writable(folders: Iterable[Path]) -> Path | None:

@@ -1,7 +1,9 @@
 """Dropping piles: the same seed gives the same bits, everything sleeps inside the bin, and nothing overlaps."""
 
 import logging
+import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,6 +48,19 @@ def test_the_same_seed_gives_the_same_bits(shared: Simulation) -> None:
     assert np.abs(first - other)[:6].max() > 0.01
     np.testing.assert_array_equal(drop(shared, seed=1, count=6), first)
     np.testing.assert_array_equal(drop(small_simulation(COUNT), seed=1, count=6), first)
+
+
+def test_a_pile_that_takes_long_says_how_far_it_is(
+    shared: Simulation, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now = iter(range(0, 100_000, 5))
+    monkeypatch.setattr(settle.time, "monotonic", lambda: float(next(now)))
+    drop(shared, seed=3, count=6)
+    said = [re.fullmatch(r"(\d+) of 6 parts are dropped and (\d) lie still after (\d+) s", m) for m in caplog.messages]
+    assert all(said)
+    assert [int(each[3]) for each in said if each][:2] == [15, 30]
+    assert said[-1] is not None
+    assert said[-1][1] == "6"
 
 
 def test_what_happened_before_leaves_no_trace(shared: Simulation) -> None:
@@ -134,12 +149,12 @@ def test_a_part_under_the_floor_is_an_error_and_is_not_dropped_again(
 ) -> None:
     release = settle._release
 
-    def sink_one(simulation: Simulation, parts: list[int], rng: np.random.Generator) -> None:
-        release(simulation, parts, rng)
+    def sink_one(simulation: Simulation, parts: list[int], rng: np.random.Generator, progress: Any) -> None:
+        release(simulation, parts, rng, progress)
         simulation.place(0, centred(simulation, (0.5, 0.0, -0.3)))
 
     monkeypatch.setattr(settle, "_release", sink_one)
-    monkeypatch.setattr(settle, "_settle", lambda simulation: True)
+    monkeypatch.setattr(settle, "_settle", lambda *_: True)
     with pytest.raises(SettleError, match=r"1 part fell through the floor of the bin: .* time step of 0.002 s"):
         drop(shared, seed=0, count=2)
 
@@ -150,12 +165,12 @@ def test_a_thin_part_that_lies_a_little_in_the_floor_is_in_the_bin(
     """Contacts give way by 0.1 mm, which is half of the thinnest plate."""
     release = settle._release
 
-    def sink_one(simulation: Simulation, parts: list[int], rng: np.random.Generator) -> None:
-        release(simulation, parts, rng)
+    def sink_one(simulation: Simulation, parts: list[int], rng: np.random.Generator, progress: Any) -> None:
+        release(simulation, parts, rng, progress)
         simulation.place(0, centred(simulation, (0.5, 0.0, simulation.config.bin.wall - 0.00005)))
 
     monkeypatch.setattr(settle, "_release", sink_one)
-    monkeypatch.setattr(settle, "_settle", lambda simulation: True)
+    monkeypatch.setattr(settle, "_settle", lambda *_: True)
     drop(shared, seed=0, count=1)
     assert shared.part_centres()[0, 2] < shared.config.bin.wall
     assert inside_bin(shared)[0]
@@ -195,8 +210,8 @@ def test_a_diverging_pile_is_drawn_again(shared: Simulation, monkeypatch: pytest
     """MuJoCo used to hide a NaN by putting the parts back to where the model parks them."""
     release, calls = settle._release, []
 
-    def diverge_once(simulation: Simulation, parts: list[int], rng: np.random.Generator) -> None:
-        release(simulation, parts, rng)
+    def diverge_once(simulation: Simulation, parts: list[int], rng: np.random.Generator, progress: Any) -> None:
+        release(simulation, parts, rng, progress)
         if not calls:
             simulation.data.qvel[-1] = np.nan
         calls.append(len(parts))

@@ -11,7 +11,7 @@ import pytest
 
 import perception
 from perception.runtime import kernel_cache
-from perception.runtime.kernel_cache import first_writable, use_writable_kernel_cache
+from perception.runtime.kernel_cache import first_writable, temporary_folders, use_writable_kernel_cache
 
 PACKAGE = Path(perception.__file__).parent
 
@@ -55,6 +55,19 @@ def test_no_folder_at_all_is_left_to_numba(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the folder's place")
     assert first_writable([tmp_path / "file" / "a", tmp_path / "file"]) is None
     assert first_writable([tmp_path / "file" / "a", tmp_path / "b"]) == tmp_path / "b"
+
+
+def test_a_machine_without_temporary_files_does_no_harm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def none() -> str:
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", none)
+    assert temporary_folders("kernels") == []
+    monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(tmp_path))
+    assert temporary_folders("kernels") == [tmp_path / f"binpick-kernels-{os.getuid()}"]
+    # A folder of another user is not trusted.
+    monkeypatch.setattr(os, "getuid", lambda: tmp_path.stat().st_uid + 1)
+    assert temporary_folders("kernels") == []
 
 
 def test_a_package_and_a_home_that_cannot_be_written_do_no_harm(tmp_path: Path) -> None:
