@@ -2,11 +2,10 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from perception.runtime.files import replace_atomically
+from perception.runtime.files import write_bytes_atomically
 
 Result = TypeVar("Result")
 
@@ -33,8 +32,4 @@ class FolderWork(Generic[Result]):
     def keep(self, files: Mapping[str, bytes]) -> None:
         """Write files, given by their paths in the folder, each atomically and in this order."""
         for name, content in files.items():
-            replace_atomically(self.folder / name, partial(_write, content))
-
-
-def _write(content: bytes, path: Path) -> None:
-    path.write_bytes(content)
+            write_bytes_atomically(self.folder / name, content)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.frame import Frame
-from perception.runtime.files import json_text, replace_atomically, write_atomically
+from perception.runtime.files import json_text, replace_atomically, write_atomically, write_bytes_atomically
 
 VERSION = 1  # version of the JSON file's keys
 MOST = 65534  # largest stored depth; 65535 means "no measurement" to many programs
@@ -70,8 +70,4 @@ def _write_images(frame: Frame, path: Path, scale: float) -> None:
 
 def _write_png(path: Path, image: NDArray[np.generic]) -> None:
     _, encoded = cv2.imencode(".png", np.ascontiguousarray(image))
-    replace_atomically(path, lambda draft: _write_bytes(draft, encoded.tobytes()))
-
-
-def _write_bytes(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
+    write_bytes_atomically(path, encoded.tobytes())

@@ -45,6 +45,15 @@ def write_atomically(path: Path, text: str) -> None:
     replace_atomically(path, write)
 
 
+def write_bytes_atomically(path: Path, content: bytes) -> None:
+    """Write ``content`` to ``path`` atomically; folders that are missing are created."""
+
+    def write(draft: Path) -> None:
+        draft.write_bytes(content)
+
+    replace_atomically(path, write)
+
+
 def replace_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """Replace ``path`` atomically by what ``write`` writes.
 

@@ -15,7 +15,7 @@ import tyro
 Errors = tuple[type[Exception], ...]
 _FILES = ("json", "html", "save", "video", "rerun", "bop")  # options that name a file to be written
 _PAGE = 4096  # bytes that are written to see whether a disk is full
-_FOLDERS = ("out", "overlay")  # options that name a folder to be written into
+_FOLDERS = ("out", "overlay")  # options that name a folder to be written into; those in a command's FILES name a file
 
 
 def parse(options: Any, command: str, arguments: Sequence[str] | None) -> Any:
@@ -46,7 +46,7 @@ def _unwritable(options: Any) -> Iterator[str]:
             continue
         is_positional = tyro.conf.Positional in get_args(field.type)
         option = "the argument" if is_positional else f"--{field.name.replace('_', '-')}"
-        is_folder = field.name in _FOLDERS and path.suffix != ".png"  # --out of a picture is a file
+        is_folder = field.name in _FOLDERS and field.name not in getattr(options, "FILES", ())
         # Path.exists raises below a folder that cannot be entered, and so does Path.is_dir.
         there = next(each for each in (path, *path.absolute().parents) if os.path.exists(each))  # noqa: PTH110
         if there != path and not there.is_dir():

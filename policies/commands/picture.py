@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from policies.commands.cell_arguments import CellArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
@@ -22,6 +22,8 @@ class Arguments(CellArguments):
 
     No GL driver is needed.
     """
+
+    FILES: ClassVar[tuple[str, ...]] = ("out",)  # options that name a file, and no folder
 
     # the cell, a frame with true and predicted segments, a frame with poses, or one generated part of each family
     show: Literal["cell", "segmentation", "poses", "families"] = "cell"

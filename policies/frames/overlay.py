@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from binpick_env.evaluation.pose.pictures import RIGHT, draw_strokes, outline
 from perception.geometry import project_points, transform_points
-from perception.runtime.files import replace_atomically
+from perception.runtime.files import write_bytes_atomically
 from policies.frames.frame_record import FrameRecord
 from policies.frames.shading import shown_grey
 
@@ -40,8 +40,4 @@ def draw_poses(record: FrameRecord) -> NDArray[np.uint8]:
 def save_picture(picture: NDArray[np.uint8], path: Path) -> None:
     """Write an (H, W, 3) uint8 BGR picture as PNG, atomically; folders that are missing are created."""
     _, encoded = cv2.imencode(".png", picture)
-
-    def write(draft: Path) -> None:
-        draft.write_bytes(encoded.tobytes())
-
-    replace_atomically(path, write)
+    write_bytes_atomically(path, encoded.tobytes())

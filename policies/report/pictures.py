@@ -9,6 +9,7 @@ from binpick_env.cell.render import PicturePainter, look_at
 from binpick_env.cell.simulation import Simulation
 from binpick_env.env import BinPickEnv
 from perception.geometry import Floats
+from perception.runtime.files import write_bytes_atomically
 from policies.evaluation.listeners import BinListener, Decision
 from policies.report.pick_picture import draw_decision, part_edges
 
@@ -46,13 +47,12 @@ class Album(BinListener):
         return self._write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), f"{moment}.jpg")
 
     def _write(self, picture: cv2.typing.MatLike, name: str) -> str:
-        self._folder.mkdir(parents=True, exist_ok=True)
         file = f"{self._stem}_{name}"
         suffix = Path(file).suffix
         coded, data = cv2.imencode(suffix, picture, QUALITY[suffix])
         if not coded:
             raise RuntimeError(f"OpenCV could not encode {file}")
-        (self._folder / file).write_bytes(data.tobytes())
+        write_bytes_atomically(self._folder / file, data.tobytes())
         return file
 
 

@@ -10,6 +10,7 @@ from binpick_env.cell.render import PicturePainter, look_at
 from binpick_env.env import BinPickEnv
 from binpick_env.options import CellOptions
 from perception.geometry import Floats, make_transform, rotation_about
+from perception.runtime.files import write_bytes_atomically
 from policies.motion.ik import IkSolver
 from policies.motion.planning_scene import PlanningScene
 
@@ -46,12 +47,11 @@ def cell_picture(options: CellOptions, seed: int, width: int, height: int) -> ND
 
 
 def save_png(picture: NDArray[np.uint8], path: Path) -> None:
-    """Write an (H, W, 3) uint8 RGB picture as PNG; the folder is made."""
+    """Write an (H, W, 3) uint8 RGB picture as PNG, atomically; the folder is made."""
     coded, data = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not coded:
         raise RuntimeError(f"OpenCV could not encode {path}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(data.tobytes())
+    write_bytes_atomically(path, data.tobytes())
 
 
 def _move_over_bin(env: BinPickEnv) -> None:

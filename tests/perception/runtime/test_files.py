@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perception.runtime.files import json_text, replace_atomically, write_atomically
+from perception.runtime.files import json_text, replace_atomically, write_atomically, write_bytes_atomically
 
 ROOT = Path(__file__).parents[3]
 
@@ -47,6 +47,20 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path, error: BaseExcep
         replace_atomically(path, half)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_bytes_are_written_likewise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "new" / "picture.png"
+    write_bytes_atomically(path, b"one")
+    monkeypatch.setattr(Path, "write_bytes", lambda self, content: no_space())
+    with pytest.raises(OSError, match=r"No space left on device: '.*/picture\.png'$"):
+        write_bytes_atomically(path, b"two")
+    assert path.read_bytes() == b"one"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def no_space() -> int:
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 @pytest.mark.parametrize("filename", [None, "draft"])

@@ -212,6 +212,9 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(
         main(["generate-scenes", "--out", str(tmp_path / "scenes")])
     assert "--out must name a folder, got the file" in capsys.readouterr().err
     with pytest.raises(SystemExit):
+        main(["picture", "--out", str(tmp_path)])  # whose --out is a file
+    assert capsys.readouterr().err == f"error: --out must name a file, got the folder {tmp_path}\n"
+    with pytest.raises(SystemExit):
         main(["example", str(tmp_path / "scenes")])
     assert capsys.readouterr().err == f"error: the argument must name a folder, got the file {tmp_path / 'scenes'}\n"
 
