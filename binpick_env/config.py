@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from perception.bin import Trust, check_trust
-from perception.runtime.field_types import require_field_types
+from perception.runtime.field_types import require_field_types, require_finite
 
 if TYPE_CHECKING:
     from perception.frame import Workspace
@@ -20,6 +20,11 @@ Perception = Literal["oracle", "gt_masks", "learned"]  # what finds the parts in
 PAYLOAD = 5.0  # largest mass that a UR5e may carry, the gripper included [kg]: its data sheet
 GRIPPER_MASS = 0.925  # mass of the 2F-85 [kg]: its data sheet
 GRIPPER_STROKE = 0.085  # largest distance between the 2F-85's pads [m]: its data sheet
+
+
+def _require_numbers(config: object) -> None:
+    require_field_types(config)
+    require_finite(config)
 
 
 def _require(condition: bool, message: str) -> None:
@@ -37,7 +42,7 @@ class BinConfig:
     yaw: float = np.pi / 2  # bin x axis against world x [rad]; the long side runs across the robot's view
 
     def __post_init__(self) -> None:
-        require_field_types(self)
+        _require_numbers(self)
         _require(min(self.inner_size) > 0, f"inner_size must be positive, got {self.inner_size}")
         _require(self.wall >= 0.005, f"wall must be at least 0.005 m, got {self.wall}")
 
@@ -61,7 +66,7 @@ class TrayConfig:
     position: tuple[float, float] = (0.42, -0.42)  # centre in the world's x and y [m]
 
     def __post_init__(self) -> None:
-        require_field_types(self)
+        _require_numbers(self)
         _require(min(self.inner_size) > 0, f"inner_size must be positive, got {self.inner_size}")
         _require(self.wall > 0, f"wall must be positive, got {self.wall}")
 
@@ -78,7 +83,7 @@ class CameraConfig:
     backend: Backend = "raster"  # same image as "rays" (MuJoCo's mj_multiRay), ten times faster; "egl" needs GL
 
     def __post_init__(self) -> None:
-        require_field_types(self)
+        _require_numbers(self)
         size = f"{self.width} x {self.height}"
         _require(self.width >= 16 and self.height >= 16, f"the image must be at least 16 x 16, got {size}")
         _require(self.focal > 0, f"focal must be positive, got {self.focal}")
@@ -105,7 +110,7 @@ class CalibrationConfig:
     trust: Trust = "camera"
 
     def __post_init__(self) -> None:
-        require_field_types(self)
+        _require_numbers(self)
         _require(0 <= self.rotation <= 0.06, f"rotation must be from 0 to 0.06 rad, got {self.rotation}")
         check_trust(self.trust)
 
@@ -122,7 +127,7 @@ class RobotConfig:
     jaw: float | None = None  # largest opening of the jaw [m]; None for the gripper's own stroke of 0.085 m
 
     def __post_init__(self) -> None:
-        require_field_types(self)
+        _require_numbers(self)
         for name in ("pedestal_height", "max_velocity", "max_acceleration", "gripper_time"):
             _require(getattr(self, name) > 0, f"{name} must be positive, got {getattr(self, name)}")
         stop = self.protective_stop
@@ -143,7 +148,7 @@ class ContactConfig:
     sleep_tolerance: float = 1e-2  # velocity below which an island of parts falls asleep [m/s, length-weighted rad/s]
 
     def __post_init__(self) -> None:
-        require_field_types(self)
+        _require_numbers(self)
         _require(self.condim in (1, 3, 4, 6), f"condim must be 1, 3, 4 or 6, got {self.condim}")
         _require(min(self.friction) >= 0, f"friction must not be negative, got {self.friction}")
         _require(self.joint_damping >= 0, f"joint_damping must not be negative, got {self.joint_damping}")
@@ -163,7 +168,7 @@ class CellConfig:
     timestep: float = 0.002  # time step of the physics [s]; the control period is a whole number of steps
 
     def __post_init__(self) -> None:
-        require_field_types(self)
+        _require_numbers(self)
         steps = CONTROL_PERIOD / self.timestep if self.timestep > 0 else 0.0
         _require(
             steps >= 1 and abs(steps - round(steps)) < 1e-9,

@@ -21,7 +21,7 @@ from binpick_env.parts.density import check_density
 from binpick_env.parts.symmetry_tolerance import check_symmetry_tolerance
 from binpick_env.parts.unit import Unit, check_unit
 from perception.bin import Trust
-from perception.runtime.field_types import require_field_types
+from perception.runtime.field_types import require_field_types, require_finite
 
 if TYPE_CHECKING:
     from binpick_env.parts.part import Part
@@ -63,6 +63,7 @@ class CellOptions:
         if self.bin is not None:
             _check_bin(self.bin)  # first, since its text says more than the next one's
         require_field_types(self)
+        require_finite(self)
         if self.unit is not None:
             check_unit(self.unit)
         if self.symmetry not in ("detect", "none"):

@@ -9,6 +9,7 @@ from binpick_env.observation.candidate_from_pose import make_candidate
 from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
 from perception.geometry import rotation_about
+from perception.runtime.field_types import require_finite
 
 OFFERED_FROM = 0.3  # visible fraction from which the oracle offers a part
 
@@ -26,6 +27,7 @@ class PoseNoise:
     rotation: float = 0.0
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if self.translation < 0 or self.rotation < 0:
             raise ValueError(f"noise must not be negative, got {self.translation} m and {self.rotation} rad")
 

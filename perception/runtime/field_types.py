@@ -1,7 +1,7 @@
 """Whether the fields of a dataclass that was made from a file or by a caller hold what their annotations say."""
 
 from collections.abc import Mapping
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from numbers import Integral, Real
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -27,6 +27,19 @@ def require_field_types(record: Any) -> None:
         if not _fits(value, hint):
             shown = hint.__name__ if isinstance(hint, type) else str(hint)
             raise ValueError(f"{name} must be {shown}, got {repr(value)[:60]}")
+
+
+def require_finite(record: Any) -> None:
+    """Check that every number in the fields of a dataclass, and in tuples in them, is finite.
+
+    Raises:
+        ValueError: A number is infinite or NaN; the message names its field.
+    """
+    for each in fields(record):
+        value = getattr(record, each.name)
+        numbers = value if isinstance(value, tuple | list | np.ndarray) else (value,)
+        if not all(np.isfinite(number) for number in numbers if isinstance(number, Real)):
+            raise ValueError(f"{each.name} must be finite, got {value}")
 
 
 def _fits(value: Any, hint: Any) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 from policies.evaluation.listeners import BinListener
 from policies.report.pictures import Album
 from policies.report.recording import Recording, check_recording
-from policies.report.video import SPEED, Film, check_video
+from policies.report.video import SPEED, Film, check_length, check_video
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class BinMedia:
             evaluations: Number of evaluations that share these settings.
 
         Raises:
-            ValueError: A file's name or folder is unusable, or several evaluations would write the same file.
+            ValueError: A file's name or folder is unusable, length or speed of a film has no meaning, or several evaluations would write the same file.
             ModuleNotFoundError: An extra is not installed; the text tells how to install it.
         """
         if evaluations > 1 and self.recording is not None:
@@ -44,6 +44,7 @@ class BinMedia:
             raise ValueError(
                 "a budget is three evaluations and films none; leave out --video, or film one without --budget"
             )
+        check_length(self.video_limit, self.video_speed)
         if self.video is not None:
             check_video(self.video, self.video_limit, self.video_speed)
         if self.recording is not None:

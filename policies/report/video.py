@@ -73,6 +73,16 @@ class Film(BinListener):
             self._draft.unlink(missing_ok=True)
 
 
+def check_length(limit: float, speed: float) -> None:
+    """Raise ``ValueError`` unless a film may have this limit in simulated time [s], and this speed."""
+    if not limit > 0:
+        raise ValueError(f"a film's limit must be positive, got {limit:g} s of simulated time")
+    if not SPEEDS[0] <= speed <= SPEEDS[1]:
+        raise ValueError(
+            f"a film's speed must be from {SPEEDS[0]:g} to {SPEEDS[1]:g} times the real one, got {speed:g}"
+        )
+
+
 def check_video(path: Path, limit: float = 60.0, speed: float = SPEED) -> None:
     """Raise unless a film can be written to ``path``.
 
@@ -80,12 +90,7 @@ def check_video(path: Path, limit: float = 60.0, speed: float = SPEED) -> None:
         ValueError: The name does not end in .mp4, the limit is not positive, or the speed is out of `SPEEDS`.
         ModuleNotFoundError: The extra ``report`` is not installed; the text tells how to install it.
     """
-    if not limit > 0:
-        raise ValueError(f"a film's limit must be positive, got {limit:g} s of simulated time")
-    if not SPEEDS[0] <= speed <= SPEEDS[1]:
-        raise ValueError(
-            f"a film's speed must be from {SPEEDS[0]:g} to {SPEEDS[1]:g} times the real one, got {speed:g}"
-        )
+    check_length(limit, speed)
     if path.suffix != ".mp4":
         raise ValueError(f"a film's name must end in .mp4, got {str(path)!r}")
     try:

@@ -47,6 +47,9 @@ def test_settings_are_frozen_and_given_by_name(kind: type) -> None:
         (lambda: BinConfig(inner_size=(0.3, 0.0, 0.1)), r"inner_size must be positive, got \(0\.3, 0\.0, 0\.1\)"),
         (lambda: BinConfig(wall="thick"), "wall must be float, got 'thick'"),  # type: ignore[arg-type]
         (lambda: CellConfig(bin=(0.3, 0.2, 0.1)), r"bin must be BinConfig, got \(0\.3"),  # type: ignore[arg-type]
+        (lambda: BinConfig(position=(np.nan, 0.0)), r"position must be finite, got \(nan, 0\.0\)"),
+        (lambda: BinConfig(yaw=np.inf), "yaw must be finite, got inf"),
+        (lambda: ContactConfig(solref=(np.nan, 1.0)), r"solref must be finite, got \(nan, 1\.0\)"),
         (lambda: BinConfig(wall=0.001), r"wall must be at least 0\.005 m, got 0\.001"),
         (lambda: TrayConfig(inner_size=(0.0, 0.1, 0.1)), r"inner_size must be positive, got \(0\.0, 0\.1, 0\.1\)"),
         (lambda: TrayConfig(wall=0.0), r"wall must be positive, got 0\.0"),

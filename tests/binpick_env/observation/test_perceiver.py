@@ -160,6 +160,8 @@ def test_the_oracle_is_built_with_its_noise() -> None:
 def test_negative_noise_is_refused(noise: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"noise must not be negative, got -?0\.0\d* m and -?0\.\d+ rad"):
         PoseNoise(**noise)
+    with pytest.raises(ValueError, match="must be finite, got nan"):
+        PoseNoise(**dict.fromkeys(noise, np.nan))
 
 
 def test_an_unknown_mode_is_refused() -> None:

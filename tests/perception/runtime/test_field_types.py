@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from perception.runtime.field_types import require_field_types
+from perception.runtime.field_types import require_field_types, require_finite
 
 
 class Word(StrEnum):
@@ -69,3 +69,12 @@ def test_fields_that_fit_pass(values: dict[str, Any]) -> None:
 def test_fields_that_do_not_are_named(values: dict[str, Any], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         require_field_types(replace(Outer(), **values))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -np.inf])
+def test_numbers_that_are_not_finite_are_named(value: float) -> None:
+    require_finite(Outer())
+    with pytest.raises(ValueError, match=r"wall must be finite, got -?(nan|inf)"):
+        require_finite(Outer(wall=value))
+    with pytest.raises(ValueError, match=r"pair must be finite, got \(1, -?(nan|inf)\)"):
+        require_finite(Outer(pair=(1, value)))

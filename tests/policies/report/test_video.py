@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from binpick_env.config import CONTROL_PERIOD
+from policies.report.media import BinMedia
 from policies.report.video import EVERY, SPEED, Film, check_video
 
 pytest.importorskip("imageio_ffmpeg")
@@ -77,6 +78,9 @@ def test_what_cannot_be_filmed_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
         check_video(Path("film.mp4"), speed=0.0)
     with pytest.raises(ValueError, match=r"limit must be positive, got -1 s of simulated time"):
         check_video(Path("film.mp4"), limit=-1.0)
+
+    with pytest.raises(ValueError, match=r"limit must be positive, got nan s of simulated time"):
+        BinMedia(video_limit=float("nan")).check(1)  # without a film, too
 
     def missing(name: str) -> None:
         raise ImportError(name)
