@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from binpick_env.config import SensorPreset
+from binpick_env.parts.unit import Unit
 from policies.commands.cell_arguments import CellArguments, SceneArguments, scenes_of
 from policies.commands.command_line import exit_code, parse
 
@@ -153,6 +154,7 @@ class Build:
     against: Path  # checkout of the build that is compared with this one, such as a git worktree of an older commit
     json: Path | None = None  # JSON file to write the result to
     part: str = "tee"  # name of a part, or the path of a part file
+    unit: Unit | None = None  # length unit of a part file's coordinates; metres or millimetres, guessed, unless given
     count: int = 25  # number of parts in the bin
     sensor: SensorPreset = "good"  # noise of the depth camera
     seed: int = 0  # seed of the first input; each input has the next one
@@ -165,7 +167,8 @@ class Build:
 
         from policies.benchmarks.builds import BuildJob, compare_builds, save_comparison
 
-        given = {name: getattr(self, name) for name in ("part", "count", "sensor", "seed", "repeats", "threads")}
+        names = ("part", "unit", "count", "sensor", "seed", "repeats", "threads")
+        given = {name: getattr(self, name) for name in names}
         job = BuildJob(work=type(self).__name__.lower(), **given)
         with tqdm(total=self.repeats, desc=job.work, unit="pair") as bar:
 

@@ -35,7 +35,8 @@ class BinMedia:
             evaluations: Number of evaluations that share these settings.
 
         Raises:
-            ValueError: A file's name or folder is unusable, length or speed of a film has no meaning, or several evaluations would write the same file.
+            ValueError: A file's name or folder is unusable, a film's length or speed has no meaning, or several
+                evaluations would write the same file.
             ModuleNotFoundError: An extra is not installed; the text tells how to install it.
         """
         if evaluations > 1 and self.recording is not None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from binpick_env.config import SensorPreset
 from binpick_env.env import BinPickEnv
+from binpick_env.parts.unit import Unit
 from perception.runtime.threads import one_core
 
 WITH_PILES = ("frame", "camera", "attempt")  # works whose inputs are made here; the others draw their own from the seed
@@ -21,6 +22,7 @@ class BuildJob:
     Attributes:
         work: Name of the work; a function of `works.py`.
         part: Name of a part, or path of a part file.
+        unit: Unit of a part file's coordinates; guessed unless given.
         count: Number of parts in the bin.
         seed: Seed of the first input; input k has seed + k.
         sensor: Noise of the depth camera.
@@ -30,6 +32,7 @@ class BuildJob:
 
     work: str
     part: str = "tee"
+    unit: Unit | None = None
     count: int = 25
     seed: int = 0
     sensor: SensorPreset = "good"
@@ -70,7 +73,7 @@ def save_inputs(path: Path, job: BuildJob) -> None:
 
 def _piles(job: BuildJob, arrays: dict[str, Any]) -> Iterator[Any]:
     """Yield the (P, 4, 4) poses of each pile; what frames need is added to ``arrays``."""
-    env = BinPickEnv(job.part, num_parts=job.count, perception="oracle", sensor=job.sensor, threads=1)
+    env = BinPickEnv(job.part, unit=job.unit, num_parts=job.count, perception="oracle", sensor=job.sensor, threads=1)
     poses_of_camera = []
     for k in range(job.repeats):
         env.reset(seed=job.seed + k)

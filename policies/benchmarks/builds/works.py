@@ -30,7 +30,7 @@ def frame(job: Job) -> Ready:
         workspace = Workspace(T_world_bin=given["T_world_bin"], inner_size=given["inner_size"])
     limit = use_threads(job)
     with limit():
-        part = find("load_part", "binpick_env.parts")(job["part"]).model
+        part = find("load_part", "binpick_env.parts")(job["part"], **unit_of(job)).model
         for_part = find("Pipeline", "perception.pipeline").for_part
         pipeline = for_part(part, workspace, **accepted(for_part, measure_bin=False))
 
@@ -99,7 +99,7 @@ def select(job: Job) -> Ready:
     kind = find("GraspSelectionEnv", "policies.selection.env", "policies.selection_env")
     selector = find("WeightedSelector", "policies.selection.selectors", "policies.selectors")()
     given = {"num_parts": job["count"], "sensor": job["sensor"], "threads": job["threads"], "fast": True}
-    env = kind(part=job["part"], perception="oracle", **given)
+    env = kind(part=job["part"], **unit_of(job), perception="oracle", **given)
 
     def ready(k: int) -> Callable[[], Describe]:
         observation, _ = env.reset(seed=job["seed"] + k)
@@ -169,13 +169,13 @@ def _scene_config(job: Job) -> tuple[Any, Any]:
     modules = ("binpick_env.scenes.synthesis", "binpick_env.synthesis")
     make_scene, kind = find("make_scene", *modules), find("SceneConfig", *modules)
     number = (job["count"], job["count"])
-    return make_scene, kind(part=job["part"], seed=job["seed"], sensor=job["sensor"], num_parts=number)
+    return make_scene, kind(part=job["part"], **unit_of(job), seed=job["seed"], sensor=job["sensor"], num_parts=number)
 
 
 def _pile(job: Job) -> tuple[Any, Callable[[int], None]]:
     """Return an environment, and the function that puts its parts as pile k has them."""
     given = {"num_parts": job["count"], "sensor": job["sensor"], "threads": job["threads"]}
-    env = find("BinPickEnv", "binpick_env.env")(part=job["part"], perception="oracle", **given)
+    env = find("BinPickEnv", "binpick_env.env")(part=job["part"], **unit_of(job), perception="oracle", **given)
     env.reset(seed=job["seed"])
     with np.load(job["inputs"]) as stored:
         piles = stored["T_world_part"]
@@ -186,6 +186,11 @@ def _pile(job: Job) -> tuple[Any, Callable[[int], None]]:
         env.simulation.refresh()
 
     return env, put
+
+
+def unit_of(job: Job) -> dict[str, Any]:
+    """Return the unit of the part's file as an argument; none where it is not given: older builds know no unit."""
+    return {"unit": job["unit"]} if job["unit"] else {}
 
 
 def use_threads(job: Job) -> Callable[[], Any]:

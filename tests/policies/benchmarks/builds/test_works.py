@@ -32,6 +32,11 @@ def test_only_known_arguments_are_passed() -> None:
     assert works.accepted(function, measure_bin=False, colour=1) == {"measure_bin": False}
 
 
+def test_the_unit_of_a_file_reaches_the_build_where_it_is_given() -> None:
+    assert works.unit_of(BuildJob(work="frame", part="part.stl", unit="inch").arguments(Path())) == {"unit": "inch"}
+    assert works.unit_of(BuildJob(work="frame").arguments(Path())) == {}
+
+
 def test_a_call_is_timed_and_its_result_described() -> None:
     described: list[int] = []
 
