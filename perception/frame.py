@@ -57,7 +57,7 @@ class Frame:
                 f"grey and depth must have the same shape (H, W), got {self.grey.shape} and {self.depth.shape}"
             )
         if self.grey.dtype != np.uint8:
-            raise ValueError(f"grey must be uint8, got {self.grey.dtype}")
+            raise ValueError(f"grey must be uint8, levels from 0 to 255, got {self.grey.dtype}: use astype(np.uint8)")
         if not np.issubdtype(self.depth.dtype, np.floating):
             raise ValueError(f"depth must be floating point metres, got {self.depth.dtype} (millimetres in integers?)")
         require_camera(self.K, self.depth.shape[1], self.depth.shape[0])

@@ -16,6 +16,22 @@ _OFF_AXIS = 80.0  # largest angle between the optical axis and any side of an im
 _RIGID = 1e-3  # largest deviation of R^T R from the identity: a pose written with three decimals is still rigid
 
 
+def require_kind(name: str, value: object, kind: type, advice: str = "") -> None:
+    """Check that an argument is what a function works with.
+
+    Args:
+        name: Name of the argument.
+        value: The argument.
+        kind: Class that it must be of.
+        advice: What to do, after the message.
+
+    Raises:
+        ValueError: It is of another class.
+    """
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be a {kind.__name__}, got {repr(value)[:60]}{advice and f': {advice}'}")
+
+
 def require_shape(name: str, array: NDArray[np.generic], shape: tuple[int | None, ...]) -> None:
     """Raise ``ValueError`` unless ``array`` has ``shape``; ``None`` stands for any length."""
     if array.shape == shape:

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
-from perception.geometry import Floats, as_floats, require_shape, rotation_about, rotation_angle
+from perception.geometry import Floats, as_floats, require_kind, require_shape, rotation_about, rotation_angle
 from perception.size import require_size
 from perception.winding import outward, signed_volume
 
@@ -114,8 +114,9 @@ class PartModel:
             symmetry: Symmetry group of the part; None for a part without symmetry.
 
         Raises:
-            ValueError: The mesh is not watertight, encloses no volume, or is no part's size in metres.
+            ValueError: The mesh is not watertight, encloses no volume, is no part's size in metres, or is none.
         """
+        require_kind("mesh", mesh, trimesh.Trimesh, "binpick_env.parts.load_part reads files")
         if not (len(mesh.faces) and np.isfinite(mesh.vertices).all()):
             raise ValueError(f"the mesh of {name!r} must have faces and finite vertices")
         if not mesh.is_watertight:

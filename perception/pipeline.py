@@ -19,7 +19,7 @@ from perception.diagnosis import (
     log_causes,
 )
 from perception.frame import Frame, Workspace
-from perception.geometry import Floats
+from perception.geometry import Floats, require_kind
 from perception.instance import Instance
 from perception.part import PartModel
 from perception.pose.estimator import PoseEstimator
@@ -102,9 +102,10 @@ class Pipeline:
             boundary: Settings of the boundary points; those that suit the part if None.
 
         Raises:
-            ValueError: ``trust`` is neither of the two.
+            ValueError: ``trust`` is neither of the two, or ``workspace`` is no workspace.
         """
         check_trust(trust)
+        require_kind("workspace", workspace, Workspace, "it holds T_world_bin and inner_size")
         self.predictor = predictor
         self.estimator = estimator
         self.workspace = workspace
@@ -137,8 +138,9 @@ class Pipeline:
 
         Raises:
             WeightsError: There are neither weights of the part nor for every part.
-            ValueError: The mesh of the part does not enclose a volume.
+            ValueError: The mesh of the part does not enclose a volume, or an argument is of another kind.
         """
+        require_kind("part", part, PartModel, "load_part(...).model is one, and PartModel.from_mesh makes one")
         from perception.segmentation.predictor import SegmentationPredictor
 
         with use_threads(default_threads()):
@@ -150,10 +152,14 @@ class Pipeline:
 
         Where the measurement of the bin is not reliable, its given pose is kept, and the report says why.
 
+        Raises:
+            ValueError: ``frame`` is no frame.
+
         Note:
             It computes on one thread, or as many as :func:`perception.runtime.use_threads` around it says. The result
             does not depend on their number. Several threads may use one pipeline.
         """
+        require_kind("frame", frame, Frame, "it holds depth, K, T_world_cam and perhaps grey")
         with use_threads(default_threads()):
             return self._perceive_frame(frame)
 

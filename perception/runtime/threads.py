@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from numbers import Integral
 from typing import Any, TypeVar
 
 import cv2
@@ -47,7 +48,7 @@ def use_threads(count: int | None) -> Iterator[None]:
     before the first one entered returns when the last one leaves.
 
     Raises:
-        ValueError: ``count`` is not positive.
+        ValueError: ``count`` is no positive whole number.
 
     Note:
         Numba sets torch back to all cores when its own threads are first asked for. Where torch is loaded on entry,
@@ -56,8 +57,8 @@ def use_threads(count: int | None) -> Iterator[None]:
     if count is None:
         yield
         return
-    if count < 1:
-        raise ValueError(f"threads must be at least 1, got {count}")
+    if not isinstance(count, Integral) or count < 1:
+        raise ValueError(f"threads must be a whole number, at least 1, got {count!r}")
     _SETTING.enter(count)
     try:
         yield

@@ -182,6 +182,11 @@ def test_model_rejects_an_open_mesh() -> None:
         PartModel.from_mesh("lid", mesh)
 
 
+def test_model_rejects_what_is_no_mesh() -> None:
+    with pytest.raises(ValueError, match=r"mesh must be a Trimesh, got 'lid\.stl': .*load_part reads files"):
+        PartModel.from_mesh("lid", "lid.stl")  # type: ignore[arg-type]
+
+
 def test_model_turns_inverted_faces_in_a_copy() -> None:
     mesh = trimesh.creation.box((0.03, 0.04, 0.12))
     mesh.invert()

@@ -51,6 +51,15 @@ def test_a_frame_becomes_points_groups_and_poses() -> None:
     assert scores == sorted(scores, reverse=True)
 
 
+def test_objects_of_another_kind_are_named() -> None:
+    with pytest.raises(ValueError, match=r"frame must be a Frame, got array.*: it holds depth, K, T_world_cam"):
+        Pipeline(PREDICTOR, ESTIMATOR, BIN).perceive(FRAME.depth)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"workspace must be a Workspace, got \[1, 2, 3\]"):
+        Pipeline(PREDICTOR, ESTIMATOR, [1, 2, 3])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"part must be a PartModel, got 'tee': load_part\(\.\.\.\)\.model is one"):
+        Pipeline.for_part("tee", BIN)  # type: ignore[arg-type]
+
+
 def test_the_predictor_sees_the_whole_frame_in_cells_of_the_part() -> None:
     (boundary, surface, d_max) = PREDICTOR.asked[0]
     assert boundary is SEEN.boundary

@@ -124,9 +124,10 @@ def test_a_query_of_numbas_threads_leaves_torch_alone() -> None:
     assert done.returncode == 0
 
 
-@pytest.mark.parametrize("count", [0, -1])
-def test_no_threads_are_refused(count: int) -> None:
-    with pytest.raises(ValueError, match=f"threads must be at least 1, got {count}"), use_threads(count):
+@pytest.mark.parametrize("count", [0, -1, 1.5, "2"])
+def test_what_is_no_number_of_threads_is_refused(count: int) -> None:
+    text = f"threads must be a whole number, at least 1, got {count!r}"
+    with pytest.raises(ValueError, match=text), use_threads(count):
         pass
 
 

@@ -90,7 +90,7 @@ def test_a_commit_is_named_where_there_is_one(tmp_path: Path) -> None:
 def test_the_command_prints_and_keeps_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     old, new = fake_checkout(tmp_path / "old"), fake_checkout(tmp_path / "new")
     monkeypatch.setattr(comparison.compare_builds, "__defaults__", (new, None))
-    text = bench.Frame(against=old, repeats=2, json=tmp_path / "f.json", unit="inch").report()
+    text = bench.Frame(against=old, repeats=2, json=tmp_path / "f.json").report()
     assert "equal results   2 of 2" in text
     job = json.loads((tmp_path / "f.json").read_text())["job"]
-    assert (job["repeats"], job["unit"]) == (2, "inch")
+    assert (job["repeats"], job["unit"]) == (2, None)
