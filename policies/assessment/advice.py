@@ -2,12 +2,12 @@
 
 import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from math import ceil, floor, isfinite
 from typing import Literal
 
 from binpick_env.config import GRIPPER_MASS, GRIPPER_STROKE, PAYLOAD
-from binpick_env.options import CellOptions
+from binpick_env.option_words import option_words
 from perception.metrics.matching import MIN_REGION
 from policies.assessment.findings import Findings
 from policies.assessment.picking import PickingFacts
@@ -21,7 +21,6 @@ LOW_AP = 0.8  # AP under which training pays: networks that were trained on a pa
 LOSS = 0.1  # share of the parts that a stage may lose without advice
 LEAST_GRASPABLE = 0.5  # share of drops that must end in a pose that the jaw picks the part from
 _OF_TRAINING = ("part", "unit")  # options that a training knows
-_NOT_SCENES = ("jaw", "hand_eye_mm", "hand_eye_deg", "trust")  # options that do not change a scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,20 +241,3 @@ def _train(findings: Findings) -> Iterator[Advice]:
         because=f"the AP of {seen.weights} ({seen.training}) is {100 * seen.ap:.0f} %; networks that were trained on a "
         "part reach 94 % and more",
     )
-
-
-def option_words(options: CellOptions, only: tuple[str, ...] | None = None) -> list[str]:
-    """Return the options of a scene that are not the standard ones as the words of a command line.
-
-    Args:
-        options: Part and cell.
-        only: Names of the options to return; all that change a scene if None.
-    """
-    words = []
-    for field in fields(options):
-        value = getattr(options, field.name)
-        named = field.name not in _NOT_SCENES if only is None else field.name in only
-        if named and (value != field.default or field.name == "part"):
-            values = value if isinstance(value, tuple) else (value,)
-            words += [f"--{field.name.replace('_', '-')}", *(f"{each}" for each in values)]
-    return words

@@ -1,6 +1,7 @@
 """The options of the cell, the same on every command that builds one."""
 
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Literal
 
 from binpick_env.config import Backend, SensorPreset
@@ -9,6 +10,7 @@ from binpick_env.options import evaluated as evaluated
 from binpick_env.options import scenes_of as scenes_of
 from binpick_env.parts.unit import Unit
 from perception.bin import Trust
+from perception.segmentation.choices import NetworkName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,3 +87,19 @@ class CellArguments(SceneArguments):
 def _options(arguments: PartArguments, kind: type[PartArguments]) -> CellOptions:
     """Return the values of the fields that ``kind`` declares; commands add others to theirs."""
     return CellOptions(**{field.name: getattr(arguments, field.name) for field in fields(kind)})
+
+
+def weights_of(options: CellOptions, network: NetworkName) -> Path:
+    """Return the weights of a part, or those for every part.
+
+    Raises:
+        WeightsError: There are none of this kind; the message names the command that makes them.
+    """
+    from binpick_env.option_words import training_command
+    from perception.segmentation.weights import WeightsError, find_weights  # here, since it loads torch
+
+    try:
+        return find_weights(options.load_part().model, network).path
+    except WeightsError as error:
+        command = training_command(options, network)
+        raise WeightsError(f"{error}; weights of this part alone: {command}") from error

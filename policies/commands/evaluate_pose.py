@@ -9,7 +9,7 @@ from binpick_env.config import AppearanceChoice, SensorPreset
 from binpick_env.evaluation.choices import PosePerception
 from binpick_env.parts.label import part_label
 from perception.segmentation.choices import NetworkName
-from policies.commands.cell_arguments import SceneArguments, scenes_of
+from policies.commands.cell_arguments import SceneArguments, scenes_of, weights_of
 from policies.commands.command_line import exit_code, parse
 from policies.commands.worker_arguments import WorkerArguments
 
@@ -79,11 +79,10 @@ class Arguments(WorkerArguments, SceneArguments):
         """Return what the numbers depend on."""
         from binpick_env.evaluation.pose.evaluation import PoseEvaluationConfig
         from binpick_env.evaluation.pose.method import PoseMethodConfig
-        from perception.segmentation.weights import find_weights
 
         weights = self.weights
         if self.perception == "learned" and weights is None:
-            weights = find_weights(self.options().load_part().model, self.network).path
+            weights = weights_of(self.options(), self.network)
         method = PoseMethodConfig(perception=self.perception, weights=weights, estimator=self.estimator())
         return PoseEvaluationConfig(scenes=self.scene_config(), method=method)
 

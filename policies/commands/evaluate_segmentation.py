@@ -9,7 +9,7 @@ from binpick_env.config import AppearanceChoice, SensorPreset
 from binpick_env.evaluation.choices import SegmentationKind
 from binpick_env.parts.label import part_label
 from perception.segmentation.choices import NetworkName
-from policies.commands.cell_arguments import SceneArguments, scenes_of
+from policies.commands.cell_arguments import SceneArguments, scenes_of, weights_of
 from policies.commands.command_line import exit_code, parse
 from policies.commands.worker_arguments import WorkerArguments
 
@@ -75,11 +75,10 @@ class Arguments(WorkerArguments, SceneArguments):
         """Return what the numbers depend on."""
         from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig
         from binpick_env.evaluation.segmentation.method import MethodConfig
-        from perception.segmentation.weights import find_weights
 
         weights = None
         if self.method == "network":
-            weights = self.weights or find_weights(self.options().load_part().model, self.network).path
+            weights = self.weights or weights_of(self.options(), self.network)
         method = MethodConfig(kind=self.method, weights=weights, threshold=self.threshold, radius=self.radius)
         return EvaluationConfig(scenes=self.scene_config(), method=method)
 

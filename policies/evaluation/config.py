@@ -3,7 +3,6 @@
 import hashlib
 import json
 import logging
-import shlex
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -13,6 +12,7 @@ import numpy as np
 from binpick_env.config import CameraConfig, CellConfig, Perception, SensorPreset
 from binpick_env.observation.factory import make_perceiver
 from binpick_env.observation.oracle import PoseNoise
+from binpick_env.option_words import training_command
 from binpick_env.options import CellOptions
 from binpick_env.part_limits import require_room
 from binpick_env.parts.part import Part
@@ -134,15 +134,9 @@ class EvaluationConfig:
         try:
             make_perceiver(self.perception, part.model, workspace, self.pose_noise, network=self.network)
         except RecordError as error:  # a WeightsError, without loading torch for its name
-            raise type(error)(f"{error}; weights of this part alone: {self._training()}") from error
+            command = training_command(self.options(), self.network)
+            raise type(error)(f"{error}; weights of this part alone: {command}") from error
         return part
-
-    def _training(self) -> str:
-        """Return the command that trains a network for the part alone."""
-        unit = [] if self.unit is None else ["--unit", self.unit]
-        kind = [] if self.network == "grid" else ["--preset", self.network, "--install", "True"]
-        words = ["binpick", "train-segmentation", "--part", self.part, *unit, *kind]
-        return shlex.join([*words, "--initial", "none", "--minutes", "60"])
 
 
 def bin_seed(seed: int, index: int) -> int:

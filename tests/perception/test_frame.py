@@ -100,7 +100,10 @@ def test_any_depth_is_finite_and_not_negative_afterwards(values: list[float], dt
             {"grey": np.zeros((4, 6, 3), np.uint8), "depth": np.ones((4, 6, 3))},
             "grey and depth must have the same shape (H, W), got (4, 6, 3) and (4, 6, 3)",
         ),
-        ({"grey": np.zeros(SHAPE, np.float32)}, "grey must be uint8, levels from 0 to 255, got float32: use astype(np.uint8)"),
+        (
+            {"grey": np.zeros(SHAPE, np.float32)},
+            "grey must be uint8, levels from 0 to 255, got float32: use astype(np.uint8)",
+        ),
         (
             {"depth": np.full(SHAPE, 900, np.uint16)},
             "depth must be floating point metres, got uint16 (millimetres in integers?)",

@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
+from binpick_env.option_words import option_words
 from binpick_env.options import CellOptions
 from binpick_env.parts.symmetry import NearSymmetry
-from policies.assessment.advice import LOW_AP, MIN_POINTS, advise, option_words
+from policies.assessment.advice import LOW_AP, MIN_POINTS, advise
 from policies.assessment.findings import Findings
 from policies.assessment.picking import Losses
 from tests.policies.assessment.findings_of import FINE, changed

@@ -1,14 +1,17 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+import trimesh
 
 from binpick_env.evaluation.pose import evaluation
 from perception.segmentation.networks.grid_net import GridNet, GridNetConfig
 from perception.segmentation.weights import save_network
 from policies.commands import evaluate_pose as evaluate
+from policies.commands import evaluate_segmentation
 from tests.policies.commands.command_calls import run
 
 SMALL = ["--min-parts", "2", "--max-parts", "3", "--sensor", "none", "--seed", "31"]
@@ -112,3 +115,14 @@ def test_it_says_how_to_go_on(
     monkeypatch.setattr(evaluation, "evaluate_poses", stop)
     assert evaluate.run(evaluate.Arguments(perception="gt_masks", count=4, workers=3, out=tmp_path)) == 130
     assert f"what is finished is kept in {tmp_path}: the same command goes on" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [evaluate, evaluate_segmentation])
+def test_missing_weights_name_the_command_with_the_parts_path_and_unit(
+    command: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    block = tmp_path / "block.stl"
+    trimesh.creation.box((60, 40, 30)).export(block)
+    assert command.main(["--part", str(block), "--unit", "mm", "--network", "dgcnn-sgpn", "--no-html"]) == 2
+    said = capsys.readouterr().err
+    assert f"binpick train-segmentation --part {block} --unit mm --preset dgcnn-sgpn --install True" in said
