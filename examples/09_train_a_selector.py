@@ -13,7 +13,7 @@ def main(folder: Path, bins: int = 2, num_parts: int = 4) -> tuple[Path, Epoch]:
     cells = Cells(part="tee", min_parts=num_parts, max_parts=num_parts, pose_noise="learned", fast=True)
     log = AttemptLog(folder=folder, cells=cells, behaviour=Behaviour(epsilon=0.5), seed=0)
     selector, fit = train_bandit(BanditConfig(held_out=0.0), log, bins=bins)
-    print(f"{selector.name}: cross-entropy {fit.loss:.3f} over the attempts in {bins} bins")
+    print(f"{selector.name}, fitted to {bins} bins: {fit}")  # "too few attempts to judge" after so few
     print("compare it with: binpick evaluate-selector --selectors weighted", selector)
     return selector, fit
 

@@ -65,8 +65,8 @@ def coarse_surface(frame: Frame, workspace: Workspace, d_max: float) -> Surface:
     if cell < 0.5:
         raise ValueError(
             f"a part of d_max {1000 * d_max:.1f} mm is {cell * CELLS_PER_D_MAX:.0f} px long at the bin's floor, "
-            f"{distance:.3g} m from the camera; at least {CELLS_PER_D_MAX // 2} px are needed (is its model in metres, "
-            "and are T_world_cam and T_world_bin?)"
+            f"{distance:.3g} m from the camera; at least {CELLS_PER_D_MAX // 2} px are needed: move the camera nearer "
+            "(--camera-distance), unless its model is not in metres, or T_world_cam or T_world_bin"
         )
     cell = max(cell, 1.0)  # a smaller cell may contain no pixel
     shape = (int(np.ceil((v1 - v0) / cell)), int(np.ceil((u1 - u0) / cell)))

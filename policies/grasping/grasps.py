@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from binpick_env.config import GRIPPER_STROKE
 from perception.geometry import Floats, make_transform
 from perception.part import PartModel
 from perception.runtime.cache import Arrays, cached_arrays, digest
@@ -172,7 +173,15 @@ def why_no_grasp(model: PartModel, settings: GraspSettings | None = None, *, jaw
             f"{found}it takes at most {1000 * settings.max_width:.0f} mm between two opposite faces, "
             f"and the nearest two are {1000 * least:.0f} mm apart"
         )
-    return f"{found}it needs two opposite faces that its pads can reach"
+    text = f"{found}it needs two opposite faces that its pads can reach"
+    if jaw is not None and jaw < GRIPPER_STROKE:
+        wider = sample_grasps(model).width
+        if len(wider):
+            stroke, least = 1000 * GRIPPER_STROKE, 1000 * wider.min()
+            text += (
+                f"; its whole stroke of {stroke:.0f} mm finds grasps from {least:.0f} mm on: use a wider jaw (--jaw)"
+            )
+    return text
 
 
 def _settings_for(settings: GraspSettings | None, jaw: float | None) -> GraspSettings:
