@@ -13,7 +13,7 @@ import socket
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from perception.runtime.job_files import JobFile, JobFiles, use_job_files
 from perception.runtime.threads import one_core
 
 _LEFT_OVER = 86_400.0  # age from which the folder of a killed worker is removed [s]
+_UNUSED = 30 * 86_400.0  # time after the last start of a worker from which the files of a job are removed [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +111,7 @@ def _unpacked(job: Job) -> JobFiles:
                 _write(draft / "weights" / name, content)
             draft.mkdir(parents=True, exist_ok=True)  # a job may have no files
             draft.rename(folder)
+        os.utime(folder)
     found = {name: JobFile(resolved=file.names[-1], copy=copy) for file, copy in copies.items() for name in file.names}
     return JobFiles(start=job.start, files=found, weights=weights)
 
@@ -132,10 +134,12 @@ def _in_own_folder(work: FolderWork[Any], index: int) -> Outcome:
 
 
 def _remove_left_over() -> None:
-    """Remove the folders that killed workers have left."""
-    for folder in (node_folder() / "drafts").glob("*"):
-        if time.time() - folder.stat().st_mtime > _LEFT_OVER:
-            shutil.rmtree(folder, ignore_errors=True)
+    """Remove the folders that killed workers have left, and the files of jobs that have not run for a month."""
+    for kind, age in (("drafts", _LEFT_OVER), ("inputs", _UNUSED)):
+        for folder in (node_folder() / kind).glob("*"):
+            with suppress(FileNotFoundError):  # another worker removes it, too
+                if time.time() - folder.stat().st_mtime > age:
+                    shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager

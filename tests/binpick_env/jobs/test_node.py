@@ -108,6 +108,23 @@ def test_folders_of_killed_workers_are_removed_after_a_day(fresh_node: Path) -> 
     assert [path.name for path in (fresh_node / "drafts").iterdir()] == ["new"]
 
 
+def test_files_of_jobs_that_have_not_run_for_a_month_are_removed(fresh_node: Path, tmp_path: Path) -> None:
+    original = tmp_path / "start" / "gear.stl"
+    kept = []
+    for content in (b"old", b"new"):
+        original.write_bytes(content)
+        compute(Job.of(partial(read, "gear.stl"), None, ()), 0, key=content.decode())
+        kept.append({path.name for path in (fresh_node / "inputs").iterdir()})
+    (first,) = kept[0]
+    os.utime(fresh_node / "inputs" / first, (0, 0))
+    compute(Job.of(partial(read, "gear.stl"), None, ()), 0, key="new again")
+    assert {path.name for path in (fresh_node / "inputs").iterdir()} == kept[1] - kept[0]
+    # A worker that starts keeps the files of its job, however old they are.
+    (second,) = kept[1] - kept[0]
+    os.utime(fresh_node / "inputs" / second, (0, 0))
+    assert compute(Job.of(partial(read, "gear.stl"), None, ()), 3, key="once more").result[:2] == (3, b"new")
+
+
 def test_the_first_work_of_a_kind_is_computed_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     compiling, compiled = threading.Event(), threading.Event()
     order: list[str] = []
