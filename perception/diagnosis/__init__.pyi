@@ -9,3 +9,4 @@ from .report import Cause as Cause
 from .report import CauseName as CauseName
 from .report import FrameReport as FrameReport
 from .report import PoseCounts as PoseCounts
+from .swapped_centre import swapped_centre_cause as swapped_centre_cause
