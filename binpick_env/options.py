@@ -21,6 +21,7 @@ from binpick_env.parts.density import check_density
 from binpick_env.parts.symmetry_tolerance import check_symmetry_tolerance
 from binpick_env.parts.unit import Unit, check_unit
 from perception.bin import Trust
+from perception.bin.unit import bin_words
 from perception.runtime.field_types import require_field_types, require_finite
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 MAX_FRICTION = 2.0  # rubber on dry concrete reaches 1; what exceeds this is a percentage or a mistake
 MAX_HAND_EYE_MM = 15.0  # [mm]; the limit of `CameraConfig.hand_eye`
 MAX_HAND_EYE_DEG = 3.0  # [deg]; about the limit of `CalibrationConfig.rotation`
-_LEAST_MM = 10.0  # sides that are all at least as long are no metres [m]
+_LEAST_BIN = 0.05  # longest inner side of a bin [m], below which no pile of the smallest parts lies in it
 _CAMERA_MM = 100.0  # no camera is so far from a bin: such a distance is no metres [m]
 _PEDESTAL_HALF = 0.09  # half the side of the robot's pedestal, which stands at the world's origin [m]
 # The arguments of an environment that hold other options: what may not be given beside them.
@@ -192,5 +193,15 @@ def _check_bin(inner_size: tuple[float, float, float]) -> None:
     if inner_size[0] > length + 1e-9 or inner_size[1] > width + 1e-9:
         raise ValueError(
             f"bin may be up to {length:.2f} m long and {width:.2f} m wide between robot and tray, got {inner_size} [m]"
-            + (", which seem to be millimetres: divide them by 1000" if min(inner_size) >= _LEAST_MM else "")
+            + _meant(bin_words(inner_size, without="metres", longest=max(length, width)))
         )
+    if max(inner_size) < _LEAST_BIN:
+        raise ValueError(
+            f"bin must be at least {_LEAST_BIN:g} m long inside, got {tuple(float(side) for side in inner_size)} [m]"
+            + _meant(bin_words([1000 * side for side in inner_size], without="millimetres"))
+        )
+
+
+def _meant(words: str) -> str:
+    """Return what is said of the unit of a bin's size; nothing where none makes it plausible."""
+    return f": type {words} (in Python, bin= is in metres)" if words else ""

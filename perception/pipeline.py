@@ -17,6 +17,7 @@ from perception.diagnosis import (
     bin_size_cause,
     diagnose,
     log_causes,
+    swapped_centre_cause,
 )
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, require_kind
@@ -176,6 +177,10 @@ class Pipeline:
         if report is not None:
             cause = bin_size_cause(fit, self.workspace.inner_size, report.causes)
             causes = report.causes if cause is None else (cause, *report.causes)
+            if fit.reliable and all(each.name != "camera_matrix" for each in causes):
+                # The measured bin stands where a wrong camera matrix puts it, so that the believed one is asked.
+                cause = swapped_centre_cause(frame, self.workspace)
+                causes = causes if cause is None else (cause, *causes)
             report = replace(report, bin=BinFacts.of(fit, self.workspace), causes=causes)
             _log(report, self.estimator)
         return replace(seen, bin=fit, report=report, ms=ms | seen.ms)

@@ -13,6 +13,7 @@ from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
 from binpick_env.observation.warm_up import warm_up_capture
 from perception.boundary import BoundaryCloud
+from perception.diagnosis import causes_unlogged
 from perception.frame import Workspace
 from perception.geometry import transform_points
 from perception.instance import Instance, true_instances
@@ -139,7 +140,8 @@ def _warm_up(perceiver: PixelPerceiver, mode: str, part: PartModel, workspace: W
     """
     if mode not in _warmed_up:
         _log.info("loading the kernels of perception; if they are not compiled yet, this takes about 40 s")
-        perceiver.perceive(warm_up_capture(part, workspace), np.random.default_rng(0))
+        with causes_unlogged():  # its camera is not the user's, who could not mend them
+            perceiver.perceive(warm_up_capture(part, workspace), np.random.default_rng(0))
         _warmed_up.add(mode)
     return perceiver
 

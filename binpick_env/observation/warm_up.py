@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from binpick_env.camera.depth_camera import DepthCamera
+from binpick_env.camera.depth_camera import DepthCamera, default_pose
 from binpick_env.camera.view import VISIBLE
 from binpick_env.config import CameraConfig
 from binpick_env.observation.labelled_capture import LabelledCapture
@@ -35,7 +35,9 @@ def warm_up_capture(part: PartModel, workspace: Workspace) -> LabelledCapture:
     mujoco.mj_kinematics(model, data)
     instances = np.arange(model.ngeom) - 1  # the floor comes first
     camera = replace(_CAMERA, focal=_CAMERA.focal * max(1.0, _LEAST / part.d_max))
-    capture = DepthCamera(model, camera, workspace, instances, threads=1).capture(data, np.random.default_rng(0))
+    above = default_pose(workspace, camera.distance)  # given: that this camera does not see the whole bin is no fault
+    eye = DepthCamera(model, camera, workspace, instances, above, threads=1)
+    capture = eye.capture(data, np.random.default_rng(0))
     return LabelledCapture(
         capture=capture,
         workspace=workspace,

@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 
 from binpick_env.parts.child_program import run_program
+from binpick_env.parts.text_checks import RefusedError, require_decimal_points, require_whole_off, require_whole_ply
 from perception.capture.text_files import as_utf8
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf", ".step", ".stp")
@@ -20,10 +21,6 @@ _UNITS_3MF = {"micron": 1e-6, "millimeter": 0.001, "centimeter": 0.01, "inch": 0
 _POLYGONS = (".obj", ".ply", ".off")  # formats whose faces may have more than three corners
 _SLIVER = 1e-5  # height of a triangle, as a share of the mesh's size, below which its normal means nothing
 _STL_HEADER, _STL_FACE = 84, 50  # lengths of a binary STL's header and of a triangle [bytes]
-
-
-class _RefusedError(ValueError):
-    """What a file says is understood and cannot be taken; the text says what to do."""
 
 
 def read_bodies(path: Path) -> tuple[list[trimesh.Trimesh], str | None]:
@@ -48,7 +45,7 @@ def read_bodies(path: Path) -> tuple[list[trimesh.Trimesh], str | None]:
     _require_content(path, data)
     try:
         meshes, unit = _parsed(suffix, data)
-    except _RefusedError as error:
+    except RefusedError as error:
         raise ValueError(f"{path} cannot be read as a {path.suffix} mesh: {error}") from error
     except Exception as error:  # the readers raise whatever their parsing meets
         raise ValueError(
@@ -104,10 +101,17 @@ def _parsed(suffix: str, data: bytes) -> tuple[list[trimesh.Trimesh], str | None
         content, kind = _stl(data)
         return [trimesh.load_mesh(io.BytesIO(content), file_type=kind)], None
     if suffix == ".obj":
-        return [trimesh.load_mesh(io.BytesIO(_text(data)), file_type="obj")], None
+        text = _text(data)
+        require_decimal_points(text)
+        return [trimesh.load_mesh(io.BytesIO(text), file_type="obj")], None
     if suffix == ".ply":
-        return [trimesh.load_mesh(io.BytesIO(_without_comments(data)), file_type="ply")], None
-    return [trimesh.load_mesh(io.BytesIO(_text(data)), file_type="off")], None
+        content = _without_comments(data)
+        require_whole_ply(content)
+        return [trimesh.load_mesh(io.BytesIO(content), file_type="ply")], None
+    text = _text(data)
+    require_decimal_points(text)
+    require_whole_off(text)
+    return [trimesh.load_mesh(io.BytesIO(text), file_type="off")], None
 
 
 def _stl(data: bytes) -> tuple[bytes, str]:
@@ -119,16 +123,17 @@ def _stl(data: bytes) -> tuple[bytes, str]:
         begun, ended, closed = (text.count(word) for word in (b"facet normal", b"endfacet", b"endsolid"))
         if begun > ended or not closed:
             rest = "" if closed else " and endsolid is missing"
-            raise _RefusedError(f"it is truncated: {begun} facets begin, {ended} end{rest}; export or copy it again")
+            raise RefusedError(f"it is truncated: {begun} facets begin, {ended} end{rest}; export or copy it again")
+        require_decimal_points(text)
         return text, "stl_ascii"
     if len(data) < _STL_HEADER:
-        raise _RefusedError(
+        raise RefusedError(
             f"it has {len(data)} bytes, fewer than the {_STL_HEADER} of a binary STL's header; export or copy it again"
         )
     count = int(np.frombuffer(data, "<u4", 1, 80)[0])
     length = _STL_HEADER + _STL_FACE * count
     if len(data) < length:
-        raise _RefusedError(
+        raise RefusedError(
             f"it is truncated: its header announces {count} triangles, which take {length} bytes, "
             f"and it has {len(data)}; export or copy it again"
         )
@@ -166,7 +171,7 @@ def _three_mf(data: bytes) -> list[trimesh.Trimesh]:
     scene = trimesh.load_scene(io.BytesIO(data), file_type="3mf")
     unit = str(scene.metadata.get("units", "millimeter")).removesuffix("s")
     if unit not in _UNITS_3MF:
-        raise _RefusedError(f"its unit must be one of {', '.join(_UNITS_3MF)}, got {unit!r}")
+        raise RefusedError(f"its unit must be one of {', '.join(_UNITS_3MF)}, got {unit!r}")
     scale = _UNITS_3MF[unit]
     return [mesh.apply_transform(np.diag([scale, scale, scale, 1.0])) for mesh in _placed(scene)]
 

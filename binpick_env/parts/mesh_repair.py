@@ -20,6 +20,8 @@ log = logging.getLogger(__name__)
 _MERGING = (1e-7, 1e-6, 1e-5, 1e-4)  # distances within which vertices are merged, one after the other [extent]
 _FLAT = 0.005  # share of the extent; a hole whose border deviates less from a plane is closed, however wide it is
 _SMALL = 0.1  # share of the extent; a hole that is narrower is closed, whatever its border
+_NEIGHBOURS = 8  # number of the nearest corners among which that of no common edge is looked for
+_NEAR = 0.1  # distance of corners that may be one, as a share of the open edges' length
 _SHEET = 1e-6  # share of area times extent; a surface that encloses less has no volume
 
 
@@ -51,12 +53,14 @@ def closed(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
     # Merging did not suffice: fill the holes of the mesh whose rounding errors are gone, and of the coarser one else.
     for tolerance in (0.0, *_MERGING):
         merged, moved = _merged(original, tolerance * extent) if tolerance else (original, 0.0)
-        merged, widest, count = _filled(_single_faced(merged), extent)
+        merged, (width, length), count = _filled(_single_faced(merged), extent)
         if merged.is_watertight and not _has_sheet(merged, extent):
             log.warning(
-                "%s was not watertight; holes up to %.3g wide were closed (%d), and vertices moved by up to %.3g",
+                "%s was not watertight; holes up to %.3g wide and %.3g long were closed (%d), and vertices moved by up "
+                "to %.3g",
                 path,
-                widest,
+                width,
+                length,
                 count,
                 moved,
             )
@@ -64,11 +68,40 @@ def closed(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
     repaired = _single_faced(original)
     counts = np.unique(repaired.edges_sorted, axis=0, return_counts=True)[1]
     lone, crowded = int(np.sum(counts == 1)), int(np.sum(counts > 2))
+    near = _near_corners(repaired)
+    apart = (
+        ""
+        if near is None
+        else f"corners that should be one lie about {near:.2g} apart in the file's unit, and those up to "
+        f"{_MERGING[-1] * extent:.2g} apart ({100 * _MERGING[-1]:g} % of the extent) are merged: export the part with "
+        "more digits, or merge its close vertices, for instance in MeshLab; otherwise "
+    )
     raise ValueError(
         f"the mesh of {path} must be watertight (every edge shared by two faces): after repair "
-        f"{lone} of {len(counts)} edges are open and {crowded} are shared by three faces or more; export the part as a "
-        "solid, or close it, for instance with MeshLab's screened Poisson reconstruction for scans"
+        f"{lone} of {len(counts)} edges are open and {crowded} are shared by three faces or more; {apart}export the "
+        "part as a solid, or close it, for instance with MeshLab's screened Poisson reconstruction for scans"
     )
+
+
+def _near_corners(mesh: trimesh.Trimesh) -> float | None:
+    """Return how far the corners along open edges lie from the next one's that may be meant; None if none is near.
+
+    The next one is that of no common edge. It is near within a tenth of the open edges' length: within a true hole, it
+    is two edges away.
+    """
+    edges, counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    lone = edges[counts == 1]
+    border = np.unique(lone)
+    if len(border) <= _NEIGHBOURS:
+        return None
+    vertices = np.asarray(mesh.vertices, np.float64)
+    distances, nearest = cKDTree(vertices[border]).query(vertices[border], _NEIGHBOURS)
+    pairs = np.sort(np.stack([np.broadcast_to(border[:, None], nearest.shape), border[nearest]], axis=-1), axis=-1)
+    joined = np.isin(pairs @ (len(vertices), 1), edges @ (len(vertices), 1))
+    own = nearest == np.arange(len(border))[:, None]
+    apart = float(np.median(np.where(joined | own, np.inf, distances).min(axis=1)))
+    lengths = np.linalg.norm(np.diff(vertices[lone], axis=1)[:, 0], axis=1)
+    return apart if apart <= _NEAR * float(np.median(lengths)) else None
 
 
 def _cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -128,13 +161,13 @@ def _without_internal_faces(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return _of_faces(mesh, kept)
 
 
-def _filled(mesh: trimesh.Trimesh, extent: float) -> tuple[trimesh.Trimesh, float, int]:
-    """Return the mesh with its flat holes and small ones closed, the widest one's width and their number."""
+def _filled(mesh: trimesh.Trimesh, extent: float) -> tuple[trimesh.Trimesh, tuple[float, float], int]:
+    """Return the mesh with its flat holes and small ones closed, their largest width and length, and their number."""
     loops = _loops(mesh)
     vertices, faces = np.asarray(mesh.vertices, np.float64), [np.asarray(mesh.faces)]
     added: list[Floats] = []
     flat: list[tuple[NDArray[np.int64], Floats]] = []
-    widest, count = 0.0, 0
+    widest, longest, count = 0.0, 0.0, 0
     for loop in loops:
         border = vertices[loop]
         centre = border.mean(axis=0)
@@ -149,11 +182,25 @@ def _filled(mesh: trimesh.Trimesh, extent: float) -> tuple[trimesh.Trimesh, floa
             hub = np.full(len(loop), len(vertices) + len(added))
             added.append(centre)
             faces.append(np.stack([ahead, loop, hub], axis=1))
-        widest, count = max(widest, width), count + 1
+        widest, longest = max(widest, _narrow_side(border, axes)), max(longest, width)
+        count += 1
     for (loop, _), triangles in zip(flat, triangulate([outline for _, outline in flat]), strict=True):
         faces.append(loop[triangles])
     filled = trimesh.Trimesh(np.vstack([vertices, *added]), np.concatenate(faces), process=False)
-    return filled, widest, count
+    return filled, (widest, longest), count
+
+
+def _narrow_side(border: Floats, axes: Floats) -> float:
+    """Return the width of a hole: that of its outline, or less if it is a slit, which may be bent.
+
+    Args:
+        border: (N, 3) vertices around the hole, in order.
+        axes: (3, 3) principal axes of the border, the longest first.
+    """
+    around = np.roll(border, -1, axis=0) - border
+    area = 0.5 * float(np.linalg.norm(np.cross(border - border[0], around).sum(axis=0)))
+    length = float(np.linalg.norm(around, axis=1).sum())
+    return min(float(np.ptp(border @ axes[1])), 4 * area / length)  # a circle's diameter, twice the width of a slit
 
 
 def _has_sheet(mesh: trimesh.Trimesh, extent: float) -> bool:

@@ -3,8 +3,10 @@ from .bin_size import ABOUT_BIN as ABOUT_BIN
 from .bin_size import bin_size_cause as bin_size_cause
 from .bin_size import no_bin_cause as no_bin_cause
 from .frame_diagnosis import diagnose as diagnose
+from .log import causes_unlogged as causes_unlogged
 from .log import log_causes as log_causes
 from .report import Cause as Cause
 from .report import CauseName as CauseName
 from .report import FrameReport as FrameReport
 from .report import PoseCounts as PoseCounts
+from .swapped_centre import swapped_centre_cause as swapped_centre_cause

@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 from perception.boundary import BoundaryCloud, BoundarySettings, extract_boundary
 from perception.depth_edges import depth_std, sampled_rows
 from perception.diagnosis.depth_causes import noise_cause, sparse_cause
-from perception.diagnosis.geometry_causes import Setup, geometry_causes
+from perception.diagnosis.geometry_causes import geometry_causes
 from perception.diagnosis.report import Cause, FrameReport, PoseCounts
 from perception.diagnosis.samples import DepthSamples, grid_step
+from perception.diagnosis.setup import Setup
 from perception.frame import Frame, Workspace, bin_region
 from perception.part import PartModel
 from perception.thickness import part_boundary, part_thickness
@@ -61,13 +62,7 @@ def diagnose(
     step = grid_step(whole, _REGION_SAMPLES)
     depth, grey = whole[::step, ::step], frame.grey[v0:v1:step, u0:u1:step]
     found = cv2.countNonZero(whole) if whole.size else 0
-    given = Setup(
-        K=np.asarray(frame.K, np.float64),
-        T_world_cam=np.asarray(frame.T_world_cam, np.float64),
-        T_world_bin=np.asarray(workspace.T_world_bin, np.float64),
-        inner_size=np.asarray(workspace.inner_size, np.float64),
-    )
-    causes, setup = geometry_causes(samples, given, poses is not None and poses.found > 0)
+    causes, setup = geometry_causes(samples, Setup.of(frame, workspace), poses is not None and poses.found > 0)
     sound = not causes
     if samples.missing is not None:
         causes.append(_missing_depth(samples))

@@ -1,11 +1,14 @@
 """Wrong units, camera matrices and poses: an assumption is suspected where another one explains the frame better."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from perception.diagnosis.report import Cause, CauseName
 from perception.diagnosis.samples import BoxFit, DepthSamples
+from perception.diagnosis.setup import Setup
+from perception.diagnosis.size_unit import size_unit_cause
+from perception.diagnosis.swapped_centre import swapped_centre
 from perception.geometry import Floats, invert_transform
 
 _FARTHEST = 50.0  # median depth [m] that no camera over a bin measures; 50 mm is less than the nearest ones see
@@ -19,37 +22,13 @@ _SMALLER = {
 }
 _LARGER = {1e3: "have been divided by 1000 once too often", 1e2: "have been divided by 100 too often"}
 _IMPERIAL = {0.0254: "be in inches", 0.3048: "be in feet"}  # values that might be metres, too
-_LARGEST_BIN = 10.0  # length [m] of no bin; no bin is 10 mm long either
 _OFF_CENTRE = 1.25  # ratio of the principal point and the middle of the image from which K is another image's
 _FITS = 0.5  # share of the measurements that lie in the box if the bin is where it is said to be
 _MISFIT = 0.3  # share below which it is not
 _FEWEST_MEASURED = 0.05  # share of the pixels of the bin below which nothing can be said of its pose
 _LEVELLED = 1.5  # factor by which more pairs of measurements are at one height if depth is a distance: then it is
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # from OpenGL's camera axes (y up, z back) to OpenCV's, and back
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Setup:
-    """What is assumed of camera and bin, and corrected cause by cause.
-
-    Attributes:
-        K: (3, 3) camera matrix [px].
-        T_world_cam: (4, 4) camera pose.
-        T_world_bin: (4, 4) pose of the bin.
-        inner_size: (3,) inner length, width and height of the bin [m].
-        scale: Factor from the frame's depth to metres.
-    """
-
-    K: Floats
-    T_world_cam: Floats
-    T_world_bin: Floats
-    inner_size: Floats
-    scale: float = 1.0
-
-    def fit(self, samples: DepthSamples) -> BoxFit:
-        """Return how well the measurements fill the bin."""
-        T_cam_bin = invert_transform(self.T_world_cam) @ self.T_world_bin
-        return samples.fit(self.K, T_cam_bin, self.inner_size, self.scale)
+_OVER = np.diag([1.0, -1.0, -1.0, 1.0])  # turns a bin over
 
 
 def geometry_causes(samples: DepthSamples, setup: Setup, poses_found: bool) -> tuple[list[Cause], Setup]:
@@ -68,13 +47,15 @@ def geometry_causes(samples: DepthSamples, setup: Setup, poses_found: bool) -> t
     if not _NEAREST <= median < _FARTHEST:
         setup, text = _depth_unit(samples, setup, median)
         causes.append(Cause(name="depth_unit", text=text))
-    if setup.inner_size.max() >= _LARGEST_BIN:
-        size = " x ".join(f"{value:g}" for value in setup.inner_size)
-        setup = replace(setup, inner_size=setup.inner_size / 1000)
-        text = f"inner_size is {size} m: it seems to be in millimetres; divide it by 1000 (--bin on the command line)"
-        causes.append(Cause(name="inner_size_unit", text=text))
+    size = size_unit_cause(samples, setup)
+    if size is not None:
+        causes.append(size[0])
+        setup = replace(setup, inner_size=setup.inner_size * size[1])
+    if (swapped := swapped_centre(samples, setup)) is not None:  # it leaves good poses, in the wrong place
+        causes.append(swapped[0])
+        setup = swapped[1]
     if not poses_found:
-        for check in (_imperial, _camera_matrix, _poses):
+        for check in (_imperial, _camera_matrix, _bin_turned, _poses):
             found = check(samples, setup)
             if found is not None:
                 causes.append(found[0])
@@ -118,9 +99,8 @@ def _unit_text(median: float, scale: float, seems: str) -> str:
 
 def _range(samples: DepthSamples, setup: Setup) -> list[Cause]:
     """Suspect distances from the camera's centre in place of depths if they make surfaces level that are not."""
-    T_cam_bin = invert_transform(setup.T_world_cam) @ setup.T_world_bin
-    by_axis = samples.level(setup.K, T_cam_bin, setup.scale)
-    by_ray = samples.level(setup.K, T_cam_bin, setup.scale, along_rays=True)
+    by_axis = samples.level(setup.K, setup.T_cam_bin, setup.scale)
+    by_ray = samples.level(setup.K, setup.T_cam_bin, setup.scale, along_rays=True)
     if by_ray <= _LEVELLED * by_axis:
         return []
     text = (
@@ -154,6 +134,21 @@ def _camera_matrix(samples: DepthSamples, setup: Setup) -> tuple[Cause, Setup] |
         f"another resolution; multiply its first row by {1 / across:.2g} and its second by {1 / down:.2g}"
     )
     return Cause(name="camera_matrix", text=text), other
+
+
+def _bin_turned(samples: DepthSamples, setup: Setup) -> tuple[Cause, Setup] | None:
+    """Suspect the bin's pose if its z axis points away from the camera, and the bin is there once it is turned over."""
+    if setup.T_cam_bin[2, 2] <= 0:
+        return None
+    other = replace(setup, T_world_bin=setup.T_world_bin @ _OVER)
+    fit = other.fit(samples)
+    if min(fit.inside, fit.view) < _FITS:
+        return None
+    text = (
+        "the z axis of T_world_bin points away from the camera, but must point up, out of the bin: use "
+        "T_world_bin @ diag(1, -1, -1, 1) (--bin-pose)"
+    )
+    return Cause(name="bin_pose", text=text), other
 
 
 def _poses(samples: DepthSamples, setup: Setup) -> tuple[Cause, Setup] | None:

@@ -22,6 +22,7 @@ _TOLERANCE = 0.015  # distance outside the box at which a point still counts as 
 _BELOW = 0.05  # depth below the floor down to which a point counts as in the box: the height may be wrong [m]
 _HEADROOM = 0.03  # height above the rim up to which parts are heaped [m]
 _SAME_HEIGHT = 0.002  # difference of heights that count as the same [m]
+_TOP = 0.98  # share of the points in the box that lie below its contents' top
 _FEWEST_SHOWN = 4  # number of samples below which the bin counts as out of view
 _ODD_SHARE = 0.005  # share of the measurements from which one value that all others are far from is no distance
 _ODD_RATIO = 1.5  # ratio of this value and the nearest other one
@@ -36,12 +37,14 @@ class BoxFit:
         measured: Share of the pixels in the bin's image that have a depth, in [0, 1].
         view: Share of the bin's image that lies within the frame, in [0, 1].
         low: Height over the bin's floor below which a quarter of the points between its walls lie [m]; 0 without any.
+        top: Height over the bin's floor below which nearly all of the points in its box lie [m]; 0 without any.
     """
 
     inside: float = 0.0
     measured: float = 0.0
     view: float = 0.0
     low: float = 0.0
+    top: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -106,7 +109,8 @@ class DepthSamples:
         inside &= (height >= -_BELOW) & (height <= inner_size[2] + _HEADROOM)
         between = height[(beside[0] <= half[0]) & (beside[1] <= half[1])]
         low = float(np.quantile(between, 0.25)) if len(between) else 0.0
-        return BoxFit(inside=float(np.mean(inside)), measured=len(v) / shown, view=view, low=low)
+        top = float(np.quantile(height[inside], _TOP)) if inside.any() else 0.0
+        return BoxFit(inside=float(np.mean(inside)), measured=len(v) / shown, view=view, low=low, top=top)
 
     def level(self, K: Floats, T_cam_bin: Floats, scale: float, *, along_rays: bool = False) -> float:
         """Return the share of pairs of measurements that are at the same height, to 2 mm; 0 without any.

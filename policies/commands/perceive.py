@@ -11,6 +11,7 @@ import tyro
 from binpick_env.parts.label import part_label
 from binpick_env.parts.unit import Unit
 from perception.bin import Trust
+from perception.bin.unit import bin_words
 from perception.segmentation.choices import NetworkName
 from policies.commands.command_line import exit_code, parse
 
@@ -259,13 +260,11 @@ def _check_size(size: tuple[float, float, float] | None) -> None:
     if size is None or (min(size) >= SMALLEST and max(size) <= LARGEST):
         return
     got = " x ".join(f"{value:g}" for value in size)
-    factor = 1 if max(size) > LARGEST else 1e6  # metres that are millimetres, or millimetres that are metres
-    meant = [factor * value for value in size]
-    fits = min(meant) >= 1000 * SMALLEST and max(meant) <= 1000 * LARGEST
-    advice = f"type --bin {'x'.join(f'{value:g}' for value in meant)}" if fits else "type its inner sides"
+    three = max(size) > LARGEST  # words, which were taken as metres; or one word, as millimetres
+    advice = bin_words(size, without="metres") if three else bin_words([1e3 * v for v in size], without="millimetres")
     raise ValueError(
         f"--bin must have sides of {1000 * SMALLEST:g} mm to {LARGEST:g} m, got {got} m: three words are metres, one "
-        f"word such as 360x260x120 is millimetres; {advice}"
+        f"word such as 360x260x120 is millimetres; type {advice or 'its inner sides'}"
     )
 
 

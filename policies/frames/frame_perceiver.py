@@ -6,8 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from perception.bin import BinFit, find_bin
+from perception.bin.unit import bin_words
 from perception.boundary import BoundarySettings
-from perception.diagnosis import ABOUT_BIN, BinFacts, bin_size_cause, log_causes, no_bin_cause
+from perception.diagnosis import (
+    ABOUT_BIN,
+    BinFacts,
+    bin_size_cause,
+    log_causes,
+    no_bin_cause,
+    swapped_centre_cause,
+)
 from perception.frame import Frame, Workspace
 from perception.geometry import Floats, make_transform, rotation_about
 from perception.part import PartModel
@@ -72,15 +80,12 @@ class FramePerceiver:
             WeightsError: There are neither weights of the part nor for every part, of this kind.
             ValueError: The part does not fit into the bin.
         """
-        if workspace is not None and part.d_max > (longest := float(np.linalg.norm(workspace.inner_size))):
-            raise ValueError(
-                f"the part must fit into the bin, got a part of {1000 * part.d_max:.4g} mm and a bin whose diagonal is "
-                f"{1000 * longest:.4g} mm: check --bin and --unit"
-            )
+        bin = bin or BinSettings()
+        _require_room(part, bin.inner_size if workspace is None else workspace.inner_size)
         found = find_weights(part, network)
         digest = hashlib.sha256(found.path.read_bytes()).hexdigest()
         self.part, self.workspace, self.origin_in_file = part, workspace, origin_in_file
-        self.bin = bin or BinSettings()
+        self.bin = bin
         self.weights = UsedWeights(name=found.path.name, sha256=digest, training=found.training)
         self.predictor = SegmentationPredictor.from_file(found.path, part=part)
         self.estimator = PoseEstimator(part, workspace=workspace)
@@ -97,6 +102,10 @@ class FramePerceiver:
                 self.predictor, self.estimator, self.workspace, measure_bin=self.bin.measure, trust=self.bin.trust
             )
             return pipeline.perceive(frame)
+        return _with_camera(self._perceive_anywhere(frame), frame)
+
+    def _perceive_anywhere(self, frame: Frame) -> Perception:
+        """Return the poses in a frame of a bin whose place is not known, or without any."""
         fit = find_bin(frame, self.bin.inner_size) if self.bin.find else None
         if fit is not None and fit.reliable:
             workspace = workspace_found(frame, fit)
@@ -127,6 +136,18 @@ class FramePerceiver:
         return Pipeline(self.predictor, estimator, workspace, measure_bin=False).perceive(frame)
 
 
+def _require_room(part: PartModel, inner_size: Floats | None) -> None:
+    """Raise ``ValueError`` if a part does not fit into a bin of (3,) inner size [m]; None is any bin."""
+    if inner_size is None or part.d_max <= (longest := float(np.linalg.norm(inner_size))):
+        return
+    words = bin_words(1000 * np.asarray(inner_size), without="millimetres")
+    raise ValueError(
+        f"the part must fit into the bin, got a part of {1000 * part.d_max:.4g} mm and a bin whose diagonal is "
+        f"{1000 * longest:.4g} mm: check --bin and --unit"
+        + (f"; --bin in one word is millimetres: type {words}" if words else "")
+    )
+
+
 def _with_bin(seen: Perception, fit: BinFit, size_given: Floats | None) -> Perception:
     """Return what was found with the bin that was looked for, and why it may not be the one of the (3,) given size."""
     report = seen.report
@@ -140,6 +161,16 @@ def _with_bin(seen: Perception, fit: BinFit, size_given: Floats | None) -> Perce
         report = replace(report, bin=BinFacts.of(fit, None, size_given), causes=causes)
         log_causes(report)
     return replace(seen, bin=fit, report=report)
+
+
+def _with_camera(seen: Perception, frame: Frame) -> Perception:
+    """Return what was found, and whether the frame's camera matrix can be right, where no bin's place tells it."""
+    cause, report = swapped_centre_cause(frame, None), seen.report
+    if cause is None or report is None or any(each.name == cause.name for each in report.causes):
+        return seen
+    report = replace(report, causes=(cause, *report.causes))
+    log_causes(report)
+    return replace(seen, report=report)
 
 
 def workspace_of_depth(frame: Frame) -> Workspace:

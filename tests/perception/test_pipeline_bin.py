@@ -99,6 +99,19 @@ def test_a_bin_of_another_size_is_logged(caplog: pytest.LogCaptureFixture, monke
     assert [record.message for record in caplog.records].count(cause.text) == 1
 
 
+@pytest.mark.parametrize("trust", ["camera", "bin"])
+def test_a_principal_point_with_swapped_coordinates_is_named_though_the_parts_are_found(
+    trust: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log, "_logged", set())
+    K = FRAME.K.copy()
+    K[:2, 2] = K[1::-1, 2]
+    seen = pipeline(scene.BIN, trust=trust).perceive(replace(FRAME, K=K))
+    assert [cause.name for cause in seen.report.causes] == ["camera_matrix"]
+    assert log._logged == {"camera_matrix"}
+    assert len(seen.poses) == len(scene.POSES)
+
+
 def test_the_given_estimator_is_left_as_it_is() -> None:
     made = pipeline(ELSEWHERE)
     made.perceive(FRAME)

@@ -1,5 +1,6 @@
 """Nothing is compiled or loaded while the first frame is timed."""
 
+import logging
 import os
 import subprocess
 import sys
@@ -12,8 +13,11 @@ from binpick_env.config import CellConfig
 from binpick_env.observation import pixel_perceiver
 from binpick_env.observation.labelled_capture import LabelledCapture
 from binpick_env.observation.observed_candidates import ObservedCandidates
+from binpick_env.observation.pixel_perceiver import gt_masks_perceiver
 from binpick_env.observation.warm_up import warm_up_capture
 from binpick_env.parts import load_part
+from perception.diagnosis import diagnose, log_causes
+from perception.diagnosis import log as diagnosis_log
 from perception.geometry import make_transform, rotation_about, transform_points
 from perception.part import PartModel
 from tests.binpick_env.observed_cell import cell
@@ -88,6 +92,22 @@ def test_a_small_part_is_as_long_in_the_warm_up_as_one_of_60_mm() -> None:
     views = [warm_up_capture(cube, WORKSPACE) for cube in cubes]
     widths = [np.ptp(np.flatnonzero((view.capture.instance_ids == 0).any(axis=0))) for view in views]
     assert widths[0] == pytest.approx(widths[1], rel=0.1)
+
+
+def test_the_warm_up_of_a_small_part_warns_of_nothing_and_uses_no_warning_up(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its camera magnifies, so that it sees neither the whole bin nor most of its own image of it."""
+    monkeypatch.setattr(diagnosis_log, "_logged", set())
+    monkeypatch.setattr(pixel_perceiver, "_warmed_up", set())
+    ball = PartModel.from_mesh("ball", trimesh.creation.icosphere(subdivisions=2, radius=0.02))
+    gt_masks_perceiver(ball, WORKSPACE, threads=1)
+    assert pixel_perceiver._warmed_up == {"gt_masks"}
+    assert not [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert diagnosis_log._logged == set()
+    report = diagnose(warm_up_capture(ball, WORKSPACE).capture.frame, WORKSPACE, ball)
+    log_causes(report)  # a user's frame like it is still warned of
+    assert "of the bin's image lies within the frame" in caplog.text
 
 
 @pytest.mark.slow

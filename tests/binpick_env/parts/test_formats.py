@@ -1,6 +1,7 @@
 """Every format of parts, several bodies in a file, dirty meshes, and what is not what it seems."""
 
 import logging
+import re
 import struct
 import zipfile
 from collections.abc import Callable
@@ -234,13 +235,19 @@ def test_corners_that_differ_by_rounding_are_merged(save: Save, noise: float, ca
 @pytest.mark.parametrize("mesh", [ell(), creation.box((0.03, 0.04, 0.05))])
 def test_corners_that_differ_by_more_than_rounding_are_refused_as_open(save: Save, mesh: trimesh.Trimesh) -> None:
     faces = len(mesh.faces)
-    with pytest.raises(ValueError, match=rf"after repair {3 * faces} of {3 * faces} edges are open"):
+    text = rf"{3 * faces} of {3 * faces} edges are open .*; corners that should be one lie about ([\d.e-]+) apart"
+    with pytest.raises(
+        ValueError, match=text + r" .* those up to [5-9].\de-06 apart \(0\.01 % of the extent\) are"
+    ) as caught:
         read_mesh(save(soup(mesh, 5e-5), "part.ply"))
+    found = re.search(text, str(caught.value))
+    assert found is not None
+    assert 1e-5 < float(found.group(1)) < 1e-4
 
 
 def test_a_closed_part_with_a_lone_triangle_is_refused_as_open(save: Save) -> None:
     lone = trimesh.Trimesh([(0.1, 0, 0), (0.11, 0, 0), (0.1, 0.01, 0.002)], [(0, 1, 2)], process=False)
-    with pytest.raises(ValueError, match=r"3 of \d+ edges are open"):
+    with pytest.raises(ValueError, match=r"3 of \d+ edges are open .* more; export the part"):
         read_mesh(save(trimesh.util.concatenate([ell(), lone]), "part.ply"))
 
 
@@ -255,7 +262,23 @@ def test_flat_holes_are_closed_however_wide(save: Save, caplog: pytest.LogCaptur
     tub.update_faces(tub.triangles_center[:, 2] < 0.029)  # without its lid
     with caplog.at_level(logging.WARNING):
         assert read_mesh(save(tub)).volume == pytest.approx(volume, rel=1e-5)
-    assert "holes up to 0.04 wide were closed (1)" in caplog.text
+    assert "holes up to 0.0398 wide and 0.04 long were closed (1)" in caplog.text
+
+
+def test_a_slit_is_said_to_be_as_narrow_as_it_is(save: Save, caplog: pytest.LogCaptureFixture) -> None:
+    """The upper face of a block ends 0.02 mm before one of its edges, which is more than is merged."""
+    block = creation.box((0.06, 0.04, 0.02))
+    vertices, faces = np.asarray(block.vertices), np.asarray(block.faces).copy()
+    upper = block.face_normals[:, 2] > 0.5
+    for vertex in np.flatnonzero(np.isclose(vertices[:, 1:], (0.02, 0.01)).all(axis=1)):
+        faces[upper] = np.where(faces[upper] == vertex, len(vertices), faces[upper])
+        vertices = np.vstack([vertices, vertices[vertex] - (0, 0.00002, 0)])
+    with caplog.at_level(logging.WARNING):
+        mesh = read_mesh(save(trimesh.Trimesh(vertices, faces, process=False), "part.ply"))
+    assert mesh.volume == pytest.approx(block.volume, rel=1e-3)
+    found = re.search(r"holes up to (\S+) wide and 0\.06 long were closed \(1\)", caplog.text)
+    assert found is not None
+    assert float(found.group(1)) == pytest.approx(0.00002, rel=0.5)
 
 
 def test_a_flat_concave_hole_is_closed_by_faces_that_do_not_overlap(save: Save) -> None:
@@ -272,7 +295,7 @@ def test_a_wide_hole_in_a_curved_surface_is_refused_with_advice(save: Save) -> N
     half = creation.icosphere(subdivisions=3, radius=0.03)
     x, y, _ = half.triangles_center.T
     half.update_faces(x < 0.01 + 0.006 * np.cos(np.pi * y / 0.02))
-    with pytest.raises(ValueError, match=r"edges are open .* screened Poisson reconstruction"):
+    with pytest.raises(ValueError, match=r"edges are open .* more; export .* screened Poisson reconstruction"):
         read_mesh(save(half))
 
 
@@ -286,6 +309,53 @@ def test_a_sheet_without_volume(save: Save) -> None:
 def test_a_foil_is_refused_with_its_thickness(save: Save) -> None:
     with pytest.raises(ValueError, match=r"is 0\.05 mm thick, taken as m; the cell simulates parts from 0\.2 mm on"):
         read_mesh(save(creation.box((0.06, 0.04, 0.00005))))
+
+
+def bent(thickness: float) -> trimesh.Trimesh:
+    """Return an L of two sheets."""
+    foot, wall = creation.box((0.06, 0.04, thickness)), creation.box((thickness, 0.04, 0.03))
+    wall.apply_translation((0.03 - thickness / 2, 0, 0.015 - thickness / 2))
+    return trimesh.boolean.union([foot, wall], engine="manifold")
+
+
+def tray(thickness: float) -> trimesh.Trimesh:
+    """Return an open box with walls of one thickness."""
+    inside = creation.box((0.06 - 2 * thickness, 0.04 - 2 * thickness, 0.02))
+    inside.apply_translation((0, 0, thickness))
+    return trimesh.boolean.difference([creation.box((0.06, 0.04, 0.02)), inside], engine="manifold")
+
+
+def finned(thickness: float) -> trimesh.Trimesh:
+    """Return a block with a fin."""
+    fin = creation.box((0.02, thickness, 0.02))
+    fin.apply_translation((0, 0, 0.02))
+    return trimesh.boolean.union([creation.box((0.06, 0.04, 0.02)), fin], engine="manifold")
+
+
+@pytest.mark.parametrize("make", [bent, tray])
+def test_thin_walls_are_refused_though_the_box_around_them_is_thick(
+    save: Save, make: Callable[[float], trimesh.Trimesh], caplog: pytest.LogCaptureFixture
+) -> None:
+    text = r"has walls of about 0\.05 mm on (99|100) % of its surface, taken as m; the cell simulates walls from"
+    with pytest.raises(ValueError, match=text + r" 0\.2 mm on: thicken the walls, or name another unit"):
+        read_mesh(save(make(0.00005)))
+    assert read_mesh(save(make(0.0002))).volume == pytest.approx(make(0.0002).volume, rel=1e-3)
+    assert not caplog.records
+
+
+def test_a_thin_fin_is_a_warning(save: Save, caplog: pytest.LogCaptureFixture) -> None:
+    read_mesh(save(finned(0.0003)))
+    assert not caplog.records
+    read_mesh(save(finned(0.0001)))
+    text = r"has walls of about 0\.1 mm on (8|9|10|11|12) % of its surface, taken as m; contacts of walls under 0\.2 mm"
+    assert re.search(text, caplog.text)
+
+
+def test_a_sharp_edge_is_no_thin_wall(save: Save, caplog: pytest.LogCaptureFixture) -> None:
+    read_mesh(save(creation.cone(radius=0.02, height=0.03, sections=64)))
+    wedge = trimesh.convex.convex_hull(np.vstack([creation.box((0.06, 0.04, 0.0)).vertices, [[-0.03, 0, 0.02]]]))
+    read_mesh(save(wedge))
+    assert not caplog.records
 
 
 @pytest.mark.parametrize(

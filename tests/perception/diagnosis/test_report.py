@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from perception.boundary import extract_boundary
-from perception.diagnosis import Cause, FrameReport, PoseCounts, diagnose, log, log_causes
+from perception.diagnosis import Cause, FrameReport, PoseCounts, causes_unlogged, diagnose, log, log_causes
 from perception.geometry import make_transform, random_rotation
 from perception.part import PartModel
 from perception.thickness import part_thickness
@@ -74,6 +74,8 @@ def test_each_cause_is_logged_once(caplog: pytest.LogCaptureFixture, monkeypatch
     monkeypatch.setattr(log, "_logged", set())
     with caplog.at_level(logging.WARNING, "perception"):
         log_causes(REPORT, without=("few_pixels", "underexposed"))
+        with causes_unlogged():
+            log_causes(REPORT)
         assert not caplog.records
         log_causes(REPORT)
         log_causes(REPORT)

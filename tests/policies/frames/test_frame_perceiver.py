@@ -56,13 +56,33 @@ def test_a_depth_in_millimetres_is_refused() -> None:
         workspace_of_depth(replace(FRAME, depth=1000 * FRAME.depth))
 
 
-def test_a_bin_of_another_size_is_logged(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log, "_logged", set())
-    perceiver = FramePerceiver.__new__(FramePerceiver)  # without the weights of a network
+def searching(inner_size: Floats) -> FramePerceiver:
+    """Return a perceiver that looks for a bin, without the weights of a network."""
+    perceiver = FramePerceiver.__new__(FramePerceiver)
     perceiver.part, perceiver.workspace = bin_scene.ELL, None
     perceiver.predictor, perceiver.estimator = KnowingPredictor(bin_scene.true_groups), quick_estimator(bin_scene.ELL)
-    perceiver.bin = BinSettings(find=True, inner_size=bin_scene.BIN.inner_size - np.array([0.008, 0.008, 0.0]))
-    seen = perceiver.perceive(bin_scene.good()[0])
+    perceiver.bin = BinSettings(find=True, inner_size=inner_size)
+    return perceiver
+
+
+def test_a_principal_point_with_swapped_coordinates_is_named_where_no_bins_place_is_known(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(log, "_logged", set())
+    good = bin_scene.good()[0]
+    K = good.K.copy()
+    K[:2, 2] = K[1::-1, 2]
+    for frame, said in ((good, []), (replace(good, K=K), ["camera_matrix"])):
+        seen = searching(bin_scene.BIN.inner_size).perceive(frame)
+        assert seen.report is not None
+        assert len(seen.poses) == 4
+        assert [cause.name for cause in seen.report.causes] == said
+    assert "cx and cy of K seem to be swapped" in caplog.text
+
+
+def test_a_bin_of_another_size_is_logged(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log, "_logged", set())
+    seen = searching(bin_scene.BIN.inner_size - np.array([0.008, 0.008, 0.0])).perceive(bin_scene.good()[0])
     assert seen.report is not None
     (cause,) = (cause for cause in seen.report.causes if cause.name == "bin_size")
     assert [record.message for record in caplog.records].count(cause.text) == 1
