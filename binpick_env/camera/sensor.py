@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.camera import _image_kernels
+from binpick_env.camera import _sensor_kernels
 from binpick_env.camera.depth_sensor import DepthSensor, TrueView
 from binpick_env.camera.stereo import StereoModel
 from binpick_env.camera.time_of_flight import TimeOfFlightModel
@@ -73,12 +73,18 @@ class SensorModel:
             return depth_true.copy()
         noise = rng.standard_normal(depth_true.shape, dtype=np.float32)
         chance = rng.random(depth_true.shape, dtype=np.float32)
-        lost = _image_kernels.beside_steps(depth_true, normals, K, self.edge_jump) & (chance < self.edge_loss)
-        if self.baseline != 0:
-            lost |= _image_kernels.projector_shadow(depth_true, K, self.baseline)
-        min_cosine = float(np.cos(self.max_incidence))
-        measured: NDArray[np.float32] = _image_kernels.measure(
-            depth_true, normals, lost, K, noise, self.sigma_z, self.reference, min_cosine
+        measured: NDArray[np.float32] = _sensor_kernels.measure(
+            depth_true,
+            normals,
+            K,
+            noise,
+            chance,
+            self.sigma_z,
+            self.reference,
+            np.float32(self.edge_loss),
+            self.edge_jump,
+            float(np.cos(self.max_incidence)),
+            self.baseline,
         )
         return measured
 
