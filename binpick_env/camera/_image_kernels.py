@@ -14,7 +14,38 @@ Singles = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _facing_row(normals: Singles, to_light: Floats, facing: Floats) -> None:
+    """Fill a row of (W,) cosines between the (W, 3) normals and the direction to the lamp."""
+    x, y, z = to_light
+    for u in range(len(facing)):
+        facing[u] = normals[u, 0] * x + normals[u, 1] * y + normals[u, 2] * z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shade_row(
+    depth: Singles,
+    facing: Floats,
+    albedo: Singles,
+    occluded: Singles,
+    ambient: float,
+    diffuse: float,
+    falloff: float,
+    reference: float,
+    occlusion: float,
+    background: float,
+    grey: Bytes,
+) -> None:
+    """Fill a row of (W,) grey values: Lambert's cosine, less ambient occlusion, times the falloff with depth."""
+    for u in range(len(grey)):
+        z = np.float64(depth[u])
+        light = (ambient + diffuse * max(facing[u], 0.0)) * (1.0 - occlusion * occluded[u])
+        light *= 1.0 + falloff * ((reference / z) * (reference / z) - 1.0)
+        value = min(max(255.0 * albedo[u] * light + 0.5, 0.0), 255.0)
+        grey[u] = np.uint8(np.int32(value if z > 0.0 else background))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def shade(
     depth: Singles,
     normals: Singles,
@@ -45,18 +76,13 @@ def shade(
     """
     height, width = depth.shape
     grey = np.empty((height, width), np.uint8)
+    facing = np.empty(width)
+    empty = np.float64(background)
     for v in range(height):
-        for u in range(width):
-            z = np.float64(depth[v, u])
-            if z <= 0.0:
-                grey[v, u] = background
-                continue
-            # Lambert's cosine, less ambient occlusion, times the falloff with depth; rounded to 8 bits.
-            n = normals[v, u]
-            facing = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
-            light = (ambient + diffuse * max(facing, 0.0)) * (1.0 - occlusion * occluded[v, u])
-            light *= 1.0 + falloff * ((reference / z) * (reference / z) - 1.0)
-            grey[v, u] = np.uint8(min(max(255.0 * albedo[v, u] * light + 0.5, 0.0), 255.0))
+        _facing_row(normals[v], to_light, facing)
+        _shade_row(
+            depth[v], facing, albedo[v], occluded[v], ambient, diffuse, falloff, reference, occlusion, empty, grey[v]
+        )
     return grey
 
 

@@ -12,7 +12,8 @@ from perception.geometry import Floats
 
 Singles = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
-Source = tuple[float, float, float]
+Offset = tuple[float, float]
+Focal = tuple[float, float, float, float]
 
 DIRECTIONS = ((0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1))  # the eight sweeps' (dv, du)
 SLACK = 1e-9  # height [m] by which the quick test of a neighbour is lenient: a million times its rounding
@@ -102,39 +103,32 @@ def occluded_sides(depth: Singles, normals: Singles, K: Floats, floor: float) ->
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _share(
-    normal: Singles,
-    K: Floats,
-    inverse: tuple[float, float],
-    z: float,
-    u: int,
-    v: int,
-    source: Source,
-    floor: float,
-    full: float,
-) -> float:
-    """Return in [0, 1] how much a source occludes a pixel by its height above the pixel's tangent plane."""
-    near, near_x, near_y = source
-    dx = near_x - z * (u - K[0, 2])
-    dy = near_y - z * (v - K[1, 2])
-    ahead = normal[2] * (near - z)
+def _share(above: float, aside: Offset, normal: Offset, focal: Focal, floor: float, full: float) -> float:
+    """Return in [0, 1] how much a source occludes a pixel by its height above the pixel's tangent plane.
+
+    Args:
+        above: Depth of the source less the pixel's, times the normal's z [m].
+        aside: Offset of the source from the pixel along x and y, times the focal lengths [m px].
+        normal: The pixel's normal along x and y.
+        focal: Focal lengths along x and y [px], and their inverses.
+        floor: Height up to which nothing is occluded [m].
+        full: Height above ``floor`` from which occlusion is complete [m].
+    """
     # Multiplying by the inverse focal length is quick, and exact enough wherever the height is not between the limits.
-    height = normal[0] * (dx * inverse[0]) + normal[1] * (dy * inverse[1]) + ahead
+    height = normal[0] * (aside[0] * focal[2]) + normal[1] * (aside[1] * focal[3]) + above
     if height < floor - SLACK:
         return 0.0
     if height > floor + full + SLACK:
         return 1.0
-    height = normal[0] * (dx / K[0, 0]) + normal[1] * (dy / K[1, 1]) + ahead
+    height = normal[0] * (aside[0] / focal[0]) + normal[1] * (aside[1] / focal[1]) + above
     return min(max((height - floor) / full, 0.0), 1.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _follow(
+def _follow_lines(
     depth: Singles,
     normals: Singles,
     K: Floats,
-    v: int,
-    u: int,
     direction: int,
     radius: float,
     floor: float,
@@ -142,46 +136,69 @@ def _follow(
     marks: Bytes,
     occluded: Singles,
 ) -> None:
-    """Follow a line from a marked pixel (v, u) for as long as it is occluded; marks on the way are cleared.
+    """Follow a line from each marked pixel for as long as it is occluded; the direction's marks are cleared.
 
     Each pixel inherits the occluding pixel of the one before it, and replaces it by that neighbour where it is nearer
     and occludes more. An eighth of the occlusion is added to ``occluded`` in place.
     """
     height, width = depth.shape
     dv, du = DIRECTIONS[direction]
-    bit = np.uint8(1 << direction)
-    inverse = (1.0 / K[0, 0], 1.0 / K[1, 1])
-    stride = np.float64(dv * dv + du * du)
+    focal = (K[0, 0], K[1, 1], 1.0 / K[0, 0], 1.0 / K[1, 1])
+    cx, cy = K[0, 2], K[1, 2]
     wide = radius * K[0, 0]
-    source = (0.0, 0.0, 0.0)  # depth, and depth times offset from the image's centre
-    count = -1.0  # number of pixels from the source to this one; negative without a source
-    before = np.float64(depth[v - dv, u - du])
-    while 0 <= v < height and 0 <= u < width:
-        z = np.float64(depth[v, u])
-        marked = (marks[v * width + u] & bit) != 0
-        if z <= 0.0 or not (marked or count >= 0.0):
-            return
-        reach = wide / z
-        best = 0.0
-        if count >= 0.0:
-            count += 1.0
-            distance = np.sqrt(count * count * stride)
-            if distance < reach:
-                best = _share(normals[v, u], K, inverse, z, u, v, source, floor, full) * (1.0 - distance / reach)
-        if marked:
-            marks[v * width + u] &= ~bit
-            distance = np.sqrt(stride)
-            if distance < reach:
-                beside = (before, before * (u - du - K[0, 2]), before * (v - dv - K[1, 2]))
-                other = _share(normals[v, u], K, inverse, z, u, v, beside, floor, full) * (1.0 - distance / reach)
-                if other > best:
-                    best, source, count = other, beside, 1.0
-        if best <= 0.0:
-            return
-        occluded[v, u] += 0.125 * best
-        before = z
-        v += dv
-        u += du
+    spacing = np.float64(dv * dv + du * du)
+    step = np.sqrt(spacing)
+    bit, rest = np.uint8(1 << direction), np.uint8(255 - (1 << direction))
+    backwards = direction >= 4
+    eights = marks.view(np.uint64)
+    everywhere = np.uint64(0x0101010101010101) << np.uint64(direction)
+    for i in range(len(eights)):
+        # Eight pixels at a time: most have no mark. A pixel comes after the one before it in this direction.
+        n = len(eights) - 1 - i if backwards else i
+        if eights[n] & everywhere == 0:
+            continue
+        for j in range(8):
+            p = 8 * n + (7 - j if backwards else j)
+            if marks[p] & bit == 0:
+                continue
+            v = p // width
+            u = p - v * width
+            near = near_x = near_y = 0.0  # depth of the source, and its offsets from the image's centre times depth
+            count = 0.0  # number of pixels from the source to this one; 0 without a source
+            before = np.float64(depth[v - dv, u - du])
+            while 0 <= v < height and 0 <= u < width:
+                z = np.float64(depth[v, u])
+                marked = (marks[v * width + u] & bit) != 0
+                if z <= 0.0 or not (marked or count > 0.0):
+                    break
+                x, y = u - cx, v - cy
+                normal = (np.float64(normals[v, u, 0]), np.float64(normals[v, u, 1]))
+                ahead = np.float64(normals[v, u, 2])
+                reach = wide / z
+                best = 0.0
+                if count > 0.0:
+                    count += 1.0
+                    distance = np.sqrt(count * count * spacing)
+                    if distance < reach:
+                        aside = (near_x - z * x, near_y - z * y)
+                        best = _share(ahead * (near - z), aside, normal, focal, floor, full)
+                        if best > 0.0:
+                            best *= 1.0 - distance / reach
+                if marked:
+                    marks[v * width + u] &= rest
+                    if step < reach:
+                        beside_x, beside_y = before * (u - du - cx), before * (v - dv - cy)
+                        aside = (beside_x - z * x, beside_y - z * y)
+                        other = _share(ahead * (before - z), aside, normal, focal, floor, full) * (1.0 - step / reach)
+                        if other > best:
+                            best, count = other, 1.0
+                            near, near_x, near_y = before, beside_x, beside_y
+                if best <= 0.0:
+                    break
+                occluded[v, u] += 0.125 * best
+                before = z
+                v += dv
+                u += du
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -199,20 +216,7 @@ def ambient_occlusion(depth: Singles, normals: Singles, K: Floats, radius: float
         full: Height above ``floor`` from which occlusion is complete [m].
     """
     occluded = np.zeros(depth.shape, np.float32)
-    width = depth.shape[1]
     marks = occluded_sides(depth, normals, K, floor)
-    eights = marks.view(np.uint64)
     for direction in range(8):
-        everywhere = np.uint64(0x0101010101010101) << np.uint64(direction)
-        bit = np.uint8(1 << direction)
-        backwards = direction >= 4
-        for i in range(len(eights)):
-            n = len(eights) - 1 - i if backwards else i
-            if eights[n] & everywhere == 0:
-                continue
-            for j in range(8):
-                p = 8 * n + (7 - j if backwards else j)
-                if marks[p] & bit:
-                    v = p // width
-                    _follow(depth, normals, K, v, p - v * width, direction, radius, floor, full, marks, occluded)
+        _follow_lines(depth, normals, K, direction, radius, floor, full, marks, occluded)
     return occluded
