@@ -153,13 +153,28 @@ def _edge_lines(planes: Floats, sign: float, K: Floats) -> tuple[bool, Lines]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _row_bounds(lines: Lines, y: float, u0: int, u1: int) -> tuple[int, int, bool]:
-    """Return the half-open columns of a row between a triangle's edges, and whether an edge nearly meets a centre."""
-    left = max(lines[0] + lines[1] * y, lines[2] + lines[3] * y)
-    right = min(lines[4] + lines[5] * y, lines[6] + lines[7] * y)
-    low = int(min(max(np.ceil(left - NEARLY), np.float64(u0)), np.float64(u1)))
-    high = int(max(min(np.floor(right + NEARLY) + 1.0, np.float64(u1)), np.float64(low)))
-    return low, high, low - left < NEARLY or right - (high - 1) < NEARLY
+def _bound_rows(lines: Lines, y: Floats, u0: int, u1: int, low: Ints, high: Ints) -> int:
+    """Fill the half-open columns of R rows between a triangle's edges; return how many edges nearly meet a centre.
+
+    Args:
+        lines: Columns at which the edges cross rows; see `_edge_lines`.
+        y: (R,) rows' coordinates at depth 1.
+        u0: First column of the triangle's box.
+        u1: Column after the last of the triangle's box.
+        low: (R,) int32 first columns; overwritten.
+        high: (R,) int32 columns after the last; overwritten.
+    """
+    first, end = np.float64(u0), np.float64(u1)
+    near = 0
+    for i in range(len(y)):
+        left = max(lines[0] + lines[1] * y[i], lines[2] + lines[3] * y[i])
+        right = min(lines[4] + lines[5] * y[i], lines[6] + lines[7] * y[i])
+        lowest = min(max(np.ceil(left - NEARLY), first), end)
+        highest = min(np.floor(right + NEARLY), end - 1.0)
+        near += (lowest - left < NEARLY) | (right - highest < NEARLY)
+        low[i] = np.int32(lowest)
+        high[i] = np.int32(max(highest + 1.0, lowest))
+    return near
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -174,6 +189,31 @@ def _trim(planes: Floats, sign: float, y: float, low: int, high: int, x: Floats)
     while low < high and _is_outside(planes, sign, x[high - 1], y0, y1, y2):
         high -= 1
     return low, high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_spans(planes: Floats, sign: float, K: Floats, x: Floats, y: Floats, box: Box, low: Ints, high: Ints) -> None:
+    """Fill the half-open columns inside all three edges of a triangle, for each row of its box.
+
+    Args:
+        planes: (3, 3) edge planes.
+        sign: 1 if the inside is where the planes are positive, -1 if it is where they are negative.
+        K: (3, 3) pinhole matrix [px].
+        x: (W,) columns' coordinates at depth 1.
+        y: (H,) rows' coordinates at depth 1.
+        box: Rectangle of pixels ``u0, v0, u1, v1`` that the triangle can cover.
+        low: (H,) int32 first columns; overwritten in the box's rows.
+        high: (H,) int32 columns after the last; overwritten in the box's rows.
+    """
+    u0, v0, u1, v1 = box
+    found, lines = _edge_lines(planes, sign, K)
+    if found and _bound_rows(lines, y[v0:v1], u0, u1, low[v0:v1], high[v0:v1]) == 0:
+        return
+    # The edge planes decide alone where a crossing is at a pixel's centre, or not known.
+    for v in range(v0, v1):
+        if not found:
+            low[v], high[v] = _row_span(planes, sign, K, y[v], u0, u1)
+        low[v], high[v] = _trim(planes, sign, y[v], low[v], high[v], x)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -227,7 +267,7 @@ def rasterise(
         depth: (H, W) float64 z-buffer [m], infinite where empty; changed in place.
         face_at: (H, W) int32 face that owns each depth; changed in place.
     """
-    planes = np.empty((3, 3))
+    planes, lows, highs = np.empty((3, 3)), np.empty(len(y), np.int32), np.empty(len(y), np.int32)
     flat = image_plane(vertices)
     for m in range(len(face_range)):
         if _is_out_of_view(vertices, flat, vertex_range[m, 0], vertex_range[m, 1], K, region):
@@ -247,16 +287,12 @@ def rasterise(
             n1 = planes[0, 1] + planes[1, 1] + planes[2, 1]
             n2 = planes[0, 2] + planes[1, 2] + planes[2, 2]
             sign = 1.0 if offset > 0.0 else -1.0
-            found, lines = _edge_lines(planes, sign, K)
+            _fill_spans(planes, sign, K, x, y, (u0, v0, u1, v1), lows, highs)
             za, zb, zc = a[2], vertices[j, 2], vertices[k, 2]
             nearest, farthest = max(min(za, zb, zc), NEAR), max(za, zb, zc)
             # Row by row: pixels inside all three edges, at the depth of the triangle's plane there.
             for v in range(v0, v1):
-                low, high, unsure = _row_bounds(lines, y[v], u0, u1)
-                if not found:
-                    low, high = _row_span(planes, sign, K, y[v], u0, u1)
-                if low < high and (unsure or not found):  # the edge planes decide alone
-                    low, high = _trim(planes, sign, y[v], low, high, x)
+                low, high = lows[v], highs[v]
                 ny = n1 * y[v]
                 if high - low >= LONG:
                     _draw_run(
@@ -299,7 +335,7 @@ def count_silhouettes(
         stamp: (H, W) int32 last pose that each pixel was counted for, filled with -1; changed in place.
     """
     counts = np.zeros(len(positions), np.int64)
-    planes = np.empty((3, 3))
+    planes, lows, highs = np.empty((3, 3)), np.empty(len(y), np.int32), np.empty(len(y), np.int32)
     owner = np.zeros(len(vertices), np.int64)
     for n in range(len(positions)):
         placed = place_vertices(vertices, owner, rotations[n : n + 1], positions[n : n + 1])
@@ -314,28 +350,28 @@ def count_silhouettes(
             u0, v0, u1, v1 = _pixel_box(placed, flat, i, j, k, K, region)
             if u0 >= u1 or v0 >= v1:
                 continue
-            found, lines = _edge_lines(planes, -1.0, K)
+            _fill_spans(planes, -1.0, K, x, y, (u0, v0, u1, v1), lows, highs)
             # Count each pixel once for this pose, whichever of its faces covers it.
             for v in range(v0, v1):
-                low, high, unsure = _row_bounds(lines, y[v], u0, u1)
-                if not found:
-                    low, high = _row_span(planes, -1.0, K, y[v], u0, u1)
-                if low < high and (unsure or not found):  # the edge planes decide alone
-                    low, high = _trim(planes, -1.0, y[v], low, high, x)
-                for u in range(low, high):
+                for u in range(lows[v], highs[v]):
                     counts[n] += stamp[v, u] != n
                     stamp[v, u] = n
     return counts
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def geoms_of_faces(face_at: Ints, face_geom: Ints, depth: Floats) -> Ints:
-    """Return the (H, W) int32 geom of each pixel's face, -1 for none; there ``depth`` becomes 0 in place."""
-    geom_at = np.empty(face_at.shape, np.int32)
+def faces_to_geoms(face_at: Ints, face_geom: Ints, depth: Floats) -> None:
+    """Replace the face of each pixel by its geom, and the depth of pixels that show no face by 0, both in place.
+
+    Args:
+        face_at: (H, W) int32 face of each pixel, -1 for none; then the geom.
+        face_geom: (T,) int32 geom of each face.
+        depth: (H, W) float64 depth [m].
+    """
     for v in range(len(face_at)):
         for u in range(face_at.shape[1]):
             t = face_at[v, u]
-            geom_at[v, u] = face_geom[t] if t >= 0 else -1
             if t < 0:
                 depth[v, u] = 0.0
-    return geom_at
+            else:
+                face_at[v, u] = face_geom[t]

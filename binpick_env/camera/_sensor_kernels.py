@@ -101,49 +101,52 @@ def _measure_row(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure(
+def measure_rows(
     depth: Singles,
     normals: Singles,
     K: Floats,
     noise: Singles,
     chance: Singles,
+    first: int,
     sigma: float,
     reference: float,
     edge_loss: float,
     edge_jump: float,
     min_cosine: float,
     baseline: float,
-) -> Singles:
-    """Return the measured (H, W) float32 depth [m], 0 where nothing is measured; see ``sensor.SensorModel``.
+    measured: Singles,
+) -> None:
+    """Fill R rows of the measured depth [m], 0 where nothing is measured; see ``sensor.SensorModel``.
 
     Args:
         depth: (H, W) float32 true depth [m].
         normals: (H, W, 3) float32 unit normals.
         K: (3, 3) pinhole matrix [px].
         noise: (H, W) float32 draws from the standard normal distribution.
-        chance: (H, W) float32 draws from the uniform distribution in [0, 1).
+        chance: (R, W) float32 draws from the uniform distribution in [0, 1).
+        first: First of the rows that are filled.
         sigma: Standard deviation at the reference depth on a surface square to the ray [m].
         reference: Depth at which ``sigma`` holds [m].
         edge_loss: Share of the pixels beside depth discontinuities that are lost.
         edge_jump: Smallest depth step, beyond what the surface's slope explains, that is a discontinuity [m].
         min_cosine: Smallest cosine of the angle of incidence at which something is measured.
         baseline: Position of the projector along the camera's x axis [m]; 0 casts no shadow.
+        measured: (H, W) float32; changed in place.
     """
-    height, width = depth.shape
-    measured = np.empty((height, width), np.float32)
+    width = depth.shape[1]
     lost = np.empty(width, np.bool_)
     x, toward = np.empty(width), np.empty(width)
     for u in range(width):
         x[u] = (u - K[0, 2]) / K[0, 0]
-    for v in range(height):
+    for i in range(len(chance)):
+        v = first + i
         lost[:] = False
         if baseline != 0.0:
             _shadow_row(depth[v], K[0, 0], baseline, lost)
         # Few pixels draw a loss, so whether there is a step beside them is looked at for these alone.
         for u in range(width):
-            if chance[v, u] < edge_loss and depth[v, u] > 0.0 and _is_beside_step(depth, normals, K, v, u, edge_jump):
+            if chance[i, u] < edge_loss and depth[v, u] > 0.0 and _is_beside_step(depth, normals, K, v, u, edge_jump):
                 lost[u] = True
         y = (v - K[1, 2]) / K[1, 1]
         _toward_row(normals[v], x, y, toward)
         _measure_row(depth[v], toward, lost, x, y, noise[v], sigma, reference, min_cosine, measured[v])
-    return measured

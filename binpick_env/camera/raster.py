@@ -74,10 +74,10 @@ class Rasteriser:
     def draw(self, view: View) -> Hits:
         """Return the nearest mesh or box behind every pixel of the view's region, with smooth normals."""
         vertices, depth, face_at = self._draw(view)
-        geom_at = _kernels.geoms_of_faces(face_at, self._face_geom, depth)
-        hits = Hits(depth=depth, geom_at=geom_at, normals=np.zeros((view.height, view.width, 3), np.float32))
-        self._interpolate(view, vertices, face_at, hits)
-        return hits
+        normals = np.zeros((view.height, view.width, 3), np.float32)
+        self._interpolate(view, vertices, face_at, normals)
+        _kernels.faces_to_geoms(face_at, self._face_geom, depth)
+        return Hits(depth=depth, geom_at=face_at, normals=normals)
 
     def smooth(self, view: View, hits: Hits) -> Hits:
         """Replace flat normals by smooth ones wherever the rasteriser finds the same geom as ``hits``.
@@ -85,11 +85,11 @@ class Rasteriser:
         MuJoCo's rays give the normal of the flat face, which would show the facets of a cylinder as edges.
         """
         vertices, _, face_at = self._draw(view)
-        smoothed = Hits(depth=hits.depth, geom_at=hits.geom_at, normals=hits.normals.copy())
+        normals = hits.normals.copy()
         if len(self._faces):
             face_at[self._face_geom[face_at] != hits.geom_at] = -1
-        self._interpolate(view, vertices, face_at, smoothed)
-        return smoothed
+        self._interpolate(view, vertices, face_at, normals)
+        return Hits(depth=hits.depth, geom_at=hits.geom_at, normals=normals)
 
     def _draw(self, view: View) -> tuple[Floats, Floats, NDArray[np.int32]]:
         vertices = _kernels.place_vertices(self._vertices, self._vertex_geom, view.rotations, view.positions)
@@ -101,7 +101,9 @@ class Rasteriser:
         )
         return vertices, depth, face_at
 
-    def _interpolate(self, view: View, vertices: Floats, face_at: NDArray[np.int32], hits: Hits) -> None:
+    def _interpolate(
+        self, view: View, vertices: Floats, face_at: NDArray[np.int32], normals: NDArray[np.float32]
+    ) -> None:
         _normal_kernels.interpolate_normals(
             vertices,
             self._faces,
@@ -111,7 +113,7 @@ class Rasteriser:
             *view.slopes(),
             view.region,
             face_at,
-            hits.normals,
+            normals,
         )
 
 
