@@ -13,39 +13,47 @@ from perception.geometry import Floats
 Singles = NDArray[np.float32]
 Longs = NDArray[np.int64]
 Ints = NDArray[np.int32]
+Triple = tuple[float, float, float]
+Edges = tuple[Triple, Triple, Triple]
 
 LONG = 16  # length from which a run of pixels is computed by vector instructions [px]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _edge_planes(a: Floats, b: Floats, c: Floats, planes: Floats) -> None:
-    """Fill (3, 3) with the planes through the eye and each edge; two triangles see a shared edge with exact opposites.
-
-    ``planes[k] @ ray`` is proportional to the barycentric weight of corner k. The rasteriser has the same function:
-    numba's cache would not notice a change of another file's kernel.
-    """
-    for k in range(3):
-        p, q = (b, c) if k == 0 else ((c, a) if k == 1 else (a, b))
-        planes[k, 0] = p[1] * q[2] - p[2] * q[1]
-        planes[k, 1] = p[2] * q[0] - p[0] * q[2]
-        planes[k, 2] = p[0] * q[1] - p[1] * q[0]
+def _edge_plane(p: Floats, q: Floats) -> Triple:
+    """Return the plane through the eye and the edge from p to q, computed as the rasteriser's kernels do."""
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _weighed(
-    planes: Floats, x: float, y0: float, y1: float, y2: float, corners: Singles, R: Floats
-) -> tuple[float, float, float]:
+def _columns(rows: Floats | Singles) -> tuple[Triple, Triple, Triple]:
+    """Return the columns of a (3, 3) matrix in double precision."""
+    return (
+        (np.float64(rows[0, 0]), np.float64(rows[1, 0]), np.float64(rows[2, 0])),
+        (np.float64(rows[0, 1]), np.float64(rows[1, 1]), np.float64(rows[2, 1])),
+        (np.float64(rows[0, 2]), np.float64(rows[1, 2]), np.float64(rows[2, 2])),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _weighed(edges: Edges, x: float, corners: tuple[Triple, Triple, Triple], R: Floats) -> Triple:
     """Return the mean of a face's corner normals at a pixel, turned by ``R``; of any length, 0 if it is not defined.
 
     The corners are weighted by the barycentric coordinates of the pixel. A face seen from its front has negative
-    weights. ``yk`` is ``planes[k, 1] * y``.
+    weights.
+
+    Args:
+        edges: For each corner, three terms of the edge plane opposite to it: those of x, of the row and of depth.
+        x: Coordinate of the pixel's column at depth 1.
+        corners: The corner normals' x, y and z.
+        R: (3, 3) axes of the face's geom in the camera frame.
     """
-    w0 = planes[0, 0] * x + y0 + planes[0, 2]
-    w1 = planes[1, 0] * x + y1 + planes[1, 2]
-    w2 = planes[2, 0] * x + y2 + planes[2, 2]
-    n0 = 0.0 + w0 * corners[0, 0] + w1 * corners[1, 0] + w2 * corners[2, 0]
-    n1 = 0.0 + w0 * corners[0, 1] + w1 * corners[1, 1] + w2 * corners[2, 1]
-    n2 = 0.0 + w0 * corners[0, 2] + w1 * corners[1, 2] + w2 * corners[2, 2]
+    w0 = edges[0][0] * x + edges[0][1] + edges[0][2]
+    w1 = edges[1][0] * x + edges[1][1] + edges[1][2]
+    w2 = edges[2][0] * x + edges[2][1] + edges[2][2]
+    n0 = 0.0 + w0 * corners[0][0] + w1 * corners[0][1] + w2 * corners[0][2]
+    n1 = 0.0 + w0 * corners[1][0] + w1 * corners[1][1] + w2 * corners[1][2]
+    n2 = 0.0 + w0 * corners[2][0] + w1 * corners[2][1] + w2 * corners[2][2]
     valid = 1.0 if w0 + w1 + w2 != 0.0 else 0.0
     return (
         valid * (R[0, 0] * n0 + R[0, 1] * n1 + R[0, 2] * n2),
@@ -56,12 +64,11 @@ def _weighed(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _weigh_run(
-    x: Floats, planes: Floats, y: float, corners: Singles, R: Floats, m0: Floats, m1: Floats, m2: Floats
+    x: Floats, edges: Edges, corners: tuple[Triple, Triple, Triple], R: Floats, m0: Floats, m1: Floats, m2: Floats
 ) -> None:
     """Fill a run of pixels of one face with their means of its corners' normals; see `_weighed`."""
-    y0, y1, y2 = planes[0, 1] * y, planes[1, 1] * y, planes[2, 1] * y
     for i in range(len(x)):
-        m0[i], m1[i], m2[i] = _weighed(planes, x[i], y0, y1, y2, corners, R)
+        m0[i], m1[i], m2[i] = _weighed(edges, x[i], corners, R)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -102,7 +109,6 @@ def interpolate_normals(
         normals: (H, W, 3) float32 unit normals towards the eye; changed in place.
     """
     width = face_at.shape[1]
-    planes = np.empty((3, 3))
     m0, m1, m2, length = np.zeros(width), np.zeros(width), np.zeros(width), np.empty(width)
     u0, u1 = region[0], region[2]
     for v in range(region[1], region[3]):
@@ -117,14 +123,15 @@ def interpolate_normals(
                 for w in range(first, u):
                     m0[w] = m1[w] = m2[w] = 0.0
                 continue
-            _edge_planes(vertices[faces[t, 0]], vertices[faces[t, 1]], vertices[faces[t, 2]], planes)
-            corners, R = corner_normals[t], rotations[face_geom[t]]
+            a, b, c = vertices[faces[t, 0]], vertices[faces[t, 1]], vertices[faces[t, 2]]
+            p, q, r = _edge_plane(b, c), _edge_plane(c, a), _edge_plane(a, b)
+            edges = (p[0], p[1] * y[v], p[2]), (q[0], q[1] * y[v], q[2]), (r[0], r[1] * y[v], r[2])
+            corners, R = _columns(corner_normals[t]), rotations[face_geom[t]]
             if u - first >= LONG:
-                _weigh_run(x[first:u], planes, y[v], corners, R, m0[first:u], m1[first:u], m2[first:u])
+                _weigh_run(x[first:u], edges, corners, R, m0[first:u], m1[first:u], m2[first:u])
                 continue
-            y0, y1, y2 = planes[0, 1] * y[v], planes[1, 1] * y[v], planes[2, 1] * y[v]
             for w in range(first, u):
-                m0[w], m1[w], m2[w] = _weighed(planes, x[w], y0, y1, y2, corners, R)
+                m0[w], m1[w], m2[w] = _weighed(edges, x[w], corners, R)
         _to_unit_length(m0[u0:u1], m1[u0:u1], m2[u0:u1], length[u0:u1])
         for u in range(u0, u1):
             if length[u] < 0.0:
