@@ -12,6 +12,8 @@ from perception.geometry import Floats
 
 Singles = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -86,10 +88,26 @@ def shade(
     return grey
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def instances_at(geom_at: Ints, instances: Longs) -> Longs:
+    """Return the (H, W) int64 part that each pixel's geom belongs to, -1 for none.
+
+    Args:
+        geom_at: (H, W) int32 geom of the model, -1 where there is nothing.
+        instances: (ngeom + 1,) part of each geom, -1 for none; the last entry stands for nothing.
+    """
+    ids = np.empty(geom_at.shape, np.int64)
+    for v in range(len(geom_at)):
+        for u in range(geom_at.shape[1]):
+            geom = geom_at[v, u]
+            ids[v, u] = instances[geom if geom >= 0 else len(instances) - 1]
+    return ids
+
+
 @njit(cache=True, nogil=True)
 def owners_of_depth(
-    depth: Singles, depth_true: Singles, instance_ids: NDArray[np.int64], off: float, reach: int
-) -> NDArray[np.int64]:
+    depth: Singles, depth_true: Singles, instance_ids: Longs, off: float, reach: int
+) -> Longs:
     """Return the (H, W) int64 part whose surface each measured depth belongs to, -1 for none.
 
     It is the part at the pixel if the depth there fits, or else the part at the nearest pixel whose depth fits, and

@@ -159,7 +159,7 @@ class DepthCamera:
         if appearance.deviation > 0:
             hits = deviate(hits, view, part_pixels(hits.geom_at, self._instances), appearance)
         depth_true = hits.depth.astype(np.float32)
-        instance_ids = self._instances[hits.geom_at]
+        instance_ids: NDArray[np.int64] = _image_kernels.instances_at(hits.geom_at, self._instances)
         if appearance.is_clean:
             grey = (light or Light()).shade(depth_true, hits.normals, instance_ids, self.K)
         else:
