@@ -13,6 +13,7 @@ from binpick_env.camera import _image_kernels
 from binpick_env.camera.appearance import Appearance
 from binpick_env.camera.depth_sensor import DepthSensor, TrueView
 from binpick_env.camera.egl import EglRenderer
+from binpick_env.camera.freed_memory import keep_freed_memory
 from binpick_env.camera.photograph import photograph
 from binpick_env.camera.raster import Rasteriser
 from binpick_env.camera.rays import RayCaster
@@ -84,6 +85,7 @@ class DepthCamera:
         instance_of_geom = np.asarray(instance_of_geom, np.int64)
         if instance_of_geom.shape != (model.ngeom,):
             raise ValueError(f"instance_of_geom must be (ngeom,) = ({model.ngeom},), got {instance_of_geom.shape}")
+        keep_freed_memory()
         self.config = config
         self.workspace = workspace
         self.K = camera_matrix(config.focal_px, config.width, config.height)
