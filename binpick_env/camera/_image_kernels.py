@@ -105,9 +105,7 @@ def instances_at(geom_at: Ints, instances: Longs) -> Longs:
 
 
 @njit(cache=True, nogil=True)
-def owners_of_depth(
-    depth: Singles, depth_true: Singles, instance_ids: Longs, off: float, reach: int
-) -> Longs:
+def owners_of_depth(depth: Singles, depth_true: Singles, instance_ids: Longs, off: float, reach: int) -> Longs:
     """Return the (H, W) int64 part whose surface each measured depth belongs to, -1 for none.
 
     It is the part at the pixel if the depth there fits, or else the part at the nearest pixel whose depth fits, and

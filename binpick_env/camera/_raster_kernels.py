@@ -119,7 +119,7 @@ def _row_span(planes: Floats, sign: float, K: Floats, y: float, low: int, high: 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _is_outside(planes: Floats, sign: float, x: float, y0: float, y1: float, y2: float) -> bool:
     """Tell whether a ray is outside one of three edge planes; ``yk`` is ``planes[k, 1] * y``."""
-    return (
+    return bool(
         sign * (planes[0, 0] * x + y0 + planes[0, 2]) < 0.0
         or sign * (planes[1, 0] * x + y1 + planes[1, 2]) < 0.0
         or sign * (planes[2, 0] * x + y2 + planes[2, 2]) < 0.0

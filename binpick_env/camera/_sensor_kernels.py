@@ -135,6 +135,7 @@ def measure_rows(
     """
     width = depth.shape[1]
     lost = np.empty(width, np.bool_)
+    share = np.float32(edge_loss)
     x, toward = np.empty(width), np.empty(width)
     for u in range(width):
         x[u] = (u - K[0, 2]) / K[0, 0]
@@ -145,7 +146,7 @@ def measure_rows(
             _shadow_row(depth[v], K[0, 0], baseline, lost)
         # Few pixels draw a loss, so whether there is a step beside them is looked at for these alone.
         for u in range(width):
-            if chance[i, u] < edge_loss and depth[v, u] > 0.0 and _is_beside_step(depth, normals, K, v, u, edge_jump):
+            if chance[i, u] < share and depth[v, u] > 0.0 and _is_beside_step(depth, normals, K, v, u, edge_jump):
                 lost[u] = True
         y = (v - K[1, 2]) / K[1, 1]
         _toward_row(normals[v], x, y, toward)

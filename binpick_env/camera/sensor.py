@@ -88,7 +88,7 @@ class SensorModel:
                 first,
                 self.sigma_z,
                 self.reference,
-                np.float32(self.edge_loss),
+                self.edge_loss,
                 self.edge_jump,
                 float(np.cos(self.max_incidence)),
                 self.baseline,
