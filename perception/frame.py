@@ -91,7 +91,7 @@ def _measured(depth: NDArray[np.floating]) -> NDArray[np.float32]:
             "(--depth-scale on the command line)",
             FARTHEST,
         )
-    return np.where(near, depth, 0).astype(np.float32)
+    return np.where(near, depth, 0).astype(np.float32, copy=False)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,4 +1,4 @@
-"""Compiled kernels of the camera: triangles to pixels, pixels to groups of rays.
+"""Compiled kernels of the rasteriser: triangles to pixels.
 
 Arrays in, arrays out; every position is in the camera frame (x right, y down, z forward) [m], and pixel ``(v, u)``
 looks along ``((u - cx) / fx, (v - cy) / fy, 1)``, so that a distance along this ray is a depth. ``region`` is the
@@ -12,14 +12,19 @@ from numpy.typing import NDArray
 
 from perception.geometry import NEAR, Floats
 
-Singles = NDArray[np.float32]
 Longs = NDArray[np.int64]
 Ints = NDArray[np.int32]
-Bytes = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
+Box = tuple[int, int, int, int]
+Span = tuple[int, int]
+Lines = tuple[float, float, float, float, float, float, float, float]
+
+NEARLY = 1e-3  # distance of an edge from a pixel's centre up to which the edge planes decide [px]
+FAR_OFF = 1e7  # column up to which crossings are found to much less than NEARLY [px]
+LONG = 16  # length from which a run of pixels is drawn by vector instructions [px]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def place_vertices(vertices: Floats, vertex_geom: Longs, rotations: Floats, positions: Floats) -> Floats:
     """Map (V, 3) vertices from their geoms' frames by (G, 3, 3) and (G, 3) poses; returns (V, 3)."""
     placed = np.empty_like(vertices)
@@ -32,7 +37,7 @@ def place_vertices(vertices: Floats, vertex_geom: Longs, rotations: Floats, posi
     return placed
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _edge_planes(a: Floats, b: Floats, c: Floats, planes: Floats) -> None:
     """Fill (3, 3) with the planes through the eye and each edge; two triangles see a shared edge with exact opposites.
 
@@ -45,28 +50,61 @@ def _edge_planes(a: Floats, b: Floats, c: Floats, planes: Floats) -> None:
         planes[k, 2] = p[0] * q[1] - p[1] * q[0]
 
 
-@njit(cache=True, nogil=True)
-def _pixel_box(a: Floats, b: Floats, c: Floats, K: Floats, region: Longs) -> tuple[int, int, int, int]:
-    """Return the rectangle (u0, v0, u1, v1) of pixels that a triangle can cover; it is empty behind the eye."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def image_plane(vertices: Floats) -> Floats:
+    """Return the (V, 2) points ``x / z, y / z`` of (V, 3) vertices; those of vertices behind the eye mean nothing."""
+    flat = np.empty((len(vertices), 2))
+    for i in range(len(vertices)):
+        flat[i, 0] = vertices[i, 0] / vertices[i, 2]
+        flat[i, 1] = vertices[i, 1] / vertices[i, 2]
+    return flat
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _image_box(low_x: float, low_y: float, high_x: float, high_y: float, K: Floats, region: Longs) -> Box:
+    """Return the pixels (u0, v0, u1, v1) of the region that a box of the image plane can cover."""
     u0, v0, u1, v1 = region[0], region[1], region[2], region[3]
-    if a[2] <= NEAR and b[2] <= NEAR and c[2] <= NEAR:
-        return u0, v0, u0, v0
-    if a[2] <= NEAR or b[2] <= NEAR or c[2] <= NEAR:
-        return u0, v0, u1, v1
-    xa, xb, xc = a[0] / a[2], b[0] / b[2], c[0] / c[2]
-    ya, yb, yc = a[1] / a[2], b[1] / b[2], c[1] / c[2]
     # One pixel more on each side: rounding may not decide here what the edge planes decide exactly.
-    low_u = max(np.float64(u0), np.floor(K[0, 0] * min(xa, xb, xc) + K[0, 2]))
-    low_v = max(np.float64(v0), np.floor(K[1, 1] * min(ya, yb, yc) + K[1, 2]))
-    high_u = min(np.float64(u1), np.ceil(K[0, 0] * max(xa, xb, xc) + K[0, 2]) + 1.0)
-    high_v = min(np.float64(v1), np.ceil(K[1, 1] * max(ya, yb, yc) + K[1, 2]) + 1.0)
+    low_u = max(np.float64(u0), np.floor(K[0, 0] * low_x + K[0, 2]))
+    low_v = max(np.float64(v0), np.floor(K[1, 1] * low_y + K[1, 2]))
+    high_u = min(np.float64(u1), np.ceil(K[0, 0] * high_x + K[0, 2]) + 1.0)
+    high_v = min(np.float64(v1), np.ceil(K[1, 1] * high_y + K[1, 2]) + 1.0)
     if low_u >= high_u or low_v >= high_v:
         return u0, v0, u0, v0
     return int(low_u), int(low_v), int(high_u), int(high_v)
 
 
-@njit(cache=True, nogil=True)
-def _row_span(planes: Floats, sign: float, K: Floats, y: float, low: int, high: int) -> tuple[int, int]:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pixel_box(vertices: Floats, flat: Floats, i: int, j: int, k: int, K: Floats, region: Longs) -> Box:
+    """Return the rectangle of pixels that the triangle of vertices i, j and k can cover; it is empty behind the eye."""
+    u0, v0, u1, v1 = region[0], region[1], region[2], region[3]
+    za, zb, zc = vertices[i, 2], vertices[j, 2], vertices[k, 2]
+    if za <= NEAR or zb <= NEAR or zc <= NEAR:
+        if za <= NEAR and zb <= NEAR and zc <= NEAR:
+            return u0, v0, u0, v0
+        return u0, v0, u1, v1
+    xa, xb, xc = flat[i, 0], flat[j, 0], flat[k, 0]
+    ya, yb, yc = flat[i, 1], flat[j, 1], flat[k, 1]
+    return _image_box(min(xa, xb, xc), min(ya, yb, yc), max(xa, xb, xc), max(ya, yb, yc), K, region)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_out_of_view(vertices: Floats, flat: Floats, first: int, end: int, K: Floats, region: Longs) -> bool:
+    """Tell whether no triangle of the vertices ``first`` to ``end - 1`` can cover a pixel of the region."""
+    low_x = low_y = low_z = np.inf
+    high_x = high_y = high_z = -np.inf
+    for i in range(first, end):
+        low_z, high_z = min(low_z, vertices[i, 2]), max(high_z, vertices[i, 2])
+        low_x, high_x = min(low_x, flat[i, 0]), max(high_x, flat[i, 0])
+        low_y, high_y = min(low_y, flat[i, 1]), max(high_y, flat[i, 1])
+    if low_z <= NEAR:
+        return high_z <= NEAR
+    box = _image_box(low_x, low_y, high_x, high_y, K, region)
+    return box[0] >= box[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _row_span(planes: Floats, sign: float, K: Floats, y: float, low: int, high: int) -> Span:
     """Return the half-open columns [low, high) of one row that can be inside; at most a pixel too wide at each end."""
     for k in range(3):
         slope = sign * planes[k, 0] / K[0, 0]
@@ -78,13 +116,138 @@ def _row_span(planes: Floats, sign: float, K: Floats, y: float, low: int, high: 
     return low, high
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_outside(planes: Floats, sign: float, x: float, y0: float, y1: float, y2: float) -> bool:
+    """Tell whether a ray is outside one of three edge planes; ``yk`` is ``planes[k, 1] * y``."""
+    return bool(
+        sign * (planes[0, 0] * x + y0 + planes[0, 2]) < 0.0
+        or sign * (planes[1, 0] * x + y1 + planes[1, 2]) < 0.0
+        or sign * (planes[2, 0] * x + y2 + planes[2, 2]) < 0.0
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _edge_lines(planes: Floats, sign: float, K: Floats) -> tuple[bool, Lines]:
+    """Return the columns at which a triangle's edges cross a row: ``start + turn * y`` at row coordinate y.
+
+    There are two pairs ``start, turn`` that bound the columns from below, then two from above. The flag is False where
+    the triangle has an edge along the rows, whose crossings are not found to within ``NEARLY``.
+    """
+    low_0 = low_1 = -np.inf
+    high_0 = high_1 = np.inf
+    low_turn_0 = low_turn_1 = high_turn_0 = high_turn_1 = 0.0
+    found = True
+    for k in range(3):
+        per = -K[0, 0] / planes[k, 0]
+        start, turn = K[0, 2] + planes[k, 2] * per, planes[k, 1] * per
+        found &= abs(start) < FAR_OFF and abs(turn) < FAR_OFF  # False for an infinite or undefined one, too
+        if sign * planes[k, 0] > 0.0:
+            found &= low_1 == -np.inf
+            low_1, low_turn_1 = low_0, low_turn_0
+            low_0, low_turn_0 = start, turn
+        else:
+            found &= high_1 == np.inf
+            high_1, high_turn_1 = high_0, high_turn_0
+            high_0, high_turn_0 = start, turn
+    return found, (low_0, low_turn_0, low_1, low_turn_1, high_0, high_turn_0, high_1, high_turn_1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bound_rows(lines: Lines, y: Floats, u0: int, u1: int, low: Ints, high: Ints) -> int:
+    """Fill the half-open columns of R rows between a triangle's edges; return how many edges nearly meet a centre.
+
+    Args:
+        lines: Columns at which the edges cross rows; see `_edge_lines`.
+        y: (R,) rows' coordinates at depth 1.
+        u0: First column of the triangle's box.
+        u1: Column after the last of the triangle's box.
+        low: (R,) int32 first columns; overwritten.
+        high: (R,) int32 columns after the last; overwritten.
+    """
+    first, end = np.float64(u0), np.float64(u1)
+    near = 0
+    for i in range(len(y)):
+        left = max(lines[0] + lines[1] * y[i], lines[2] + lines[3] * y[i])
+        right = min(lines[4] + lines[5] * y[i], lines[6] + lines[7] * y[i])
+        lowest = min(max(np.ceil(left - NEARLY), first), end)
+        highest = min(np.floor(right + NEARLY), end - 1.0)
+        near += (lowest - left < NEARLY) | (right - highest < NEARLY)
+        low[i] = np.int32(lowest)
+        high[i] = np.int32(max(highest + 1.0, lowest))
+    return near
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _trim(planes: Floats, sign: float, y: float, low: int, high: int, x: Floats) -> Span:
+    """Return those of the half-open columns [low, high) of one row that are inside all three edges.
+
+    Along a row each edge plane only grows or only falls, also when rounded: what is inside is one run of pixels.
+    """
+    y0, y1, y2 = planes[0, 1] * y, planes[1, 1] * y, planes[2, 1] * y
+    while low < high and _is_outside(planes, sign, x[low], y0, y1, y2):
+        low += 1
+    while low < high and _is_outside(planes, sign, x[high - 1], y0, y1, y2):
+        high -= 1
+    return low, high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_spans(planes: Floats, sign: float, K: Floats, x: Floats, y: Floats, box: Box, low: Ints, high: Ints) -> None:
+    """Fill the half-open columns inside all three edges of a triangle, for each row of its box.
+
+    Args:
+        planes: (3, 3) edge planes.
+        sign: 1 if the inside is where the planes are positive, -1 if it is where they are negative.
+        K: (3, 3) pinhole matrix [px].
+        x: (W,) columns' coordinates at depth 1.
+        y: (H,) rows' coordinates at depth 1.
+        box: Rectangle of pixels ``u0, v0, u1, v1`` that the triangle can cover.
+        low: (H,) int32 first columns; overwritten in the box's rows.
+        high: (H,) int32 columns after the last; overwritten in the box's rows.
+    """
+    u0, v0, u1, v1 = box
+    found, lines = _edge_lines(planes, sign, K)
+    if found and _bound_rows(lines, y[v0:v1], u0, u1, low[v0:v1], high[v0:v1]) == 0:
+        return
+    # The edge planes decide alone where a crossing is at a pixel's centre, or not known.
+    for v in range(v0, v1):
+        if not found:
+            low[v], high[v] = _row_span(planes, sign, K, y[v], u0, u1)
+        low[v], high[v] = _trim(planes, sign, y[v], low[v], high[v], x)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_run(
+    x: Floats,
+    n0: float,
+    ny: float,
+    n2: float,
+    offset: float,
+    nearest: float,
+    farthest: float,
+    t: int,
+    depth: Floats,
+    face_at: Ints,
+) -> None:
+    """Draw a run of pixels of one row, all inside triangle ``t`` of plane ``(n0, n1, n2)``; ``ny`` is ``n1 * y``."""
+    for i in range(len(x)):
+        slant = n0 * x[i] + ny + n2
+        z = min(max(offset / slant, nearest), farthest)
+        nearer = (z < depth[i]) & (slant != 0.0)
+        depth[i] = z if nearer else depth[i]
+        face_at[i] = t if nearer else face_at[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def rasterise(
     vertices: Floats,
     faces: Ints,
+    vertex_range: Longs,
     face_range: Longs,
     two_sided: Bools,
     K: Floats,
+    x: Floats,
+    y: Floats,
     region: Longs,
     depth: Floats,
     face_at: Ints,
@@ -94,43 +257,51 @@ def rasterise(
     Args:
         vertices: (V, 3) float64 vertices in the camera frame [m].
         faces: (T, 3) int32 vertices of each face.
+        vertex_range: (M, 2) int64 half-open ranges of the vertices that each range of faces uses.
         face_range: (M, 2) int64 half-open ranges of faces to draw.
         two_sided: (T,) mask of the faces that are drawn from both sides; others only from their counter-clockwise side.
         K: (3, 3) pinhole matrix [px].
+        x: (W,) float64 coordinates of the image's columns at depth 1.
+        y: (H,) float64 coordinates of the image's rows at depth 1.
         region: (4,) int64 rectangle of pixels to draw into.
         depth: (H, W) float64 z-buffer [m], infinite where empty; changed in place.
         face_at: (H, W) int32 face that owns each depth; changed in place.
     """
-    planes = np.empty((3, 3))
+    planes, lows, highs = np.empty((3, 3)), np.empty(len(y), np.int32), np.empty(len(y), np.int32)
+    flat = image_plane(vertices)
     for m in range(len(face_range)):
+        if _is_out_of_view(vertices, flat, vertex_range[m, 0], vertex_range[m, 1], K, region):
+            continue
         for t in range(face_range[m, 0], face_range[m, 1]):
-            a, b, c = vertices[faces[t, 0]], vertices[faces[t, 1]], vertices[faces[t, 2]]
-            u0, v0, u1, v1 = _pixel_box(a, b, c, K, region)
-            if u0 >= u1 or v0 >= v1:
-                continue
-            _edge_planes(a, b, c, planes)
+            i, j, k = faces[t, 0], faces[t, 1], faces[t, 2]
+            a = vertices[i]
+            _edge_planes(a, vertices[j], vertices[k], planes)
             # The sum of the edge planes is the triangle's normal, and the determinant its distance along it.
-            n0 = planes[0, 0] + planes[1, 0] + planes[2, 0]
-            n1 = planes[0, 1] + planes[1, 1] + planes[2, 1]
-            n2 = planes[0, 2] + planes[1, 2] + planes[2, 2]
             offset = a[0] * planes[0, 0] + a[1] * planes[0, 1] + a[2] * planes[0, 2]
             if offset == 0.0 or (offset > 0.0 and not two_sided[t]):
                 continue
+            u0, v0, u1, v1 = _pixel_box(vertices, flat, i, j, k, K, region)
+            if u0 >= u1 or v0 >= v1:
+                continue
+            n0 = planes[0, 0] + planes[1, 0] + planes[2, 0]
+            n1 = planes[0, 1] + planes[1, 1] + planes[2, 1]
+            n2 = planes[0, 2] + planes[1, 2] + planes[2, 2]
             sign = 1.0 if offset > 0.0 else -1.0
-            nearest, farthest = max(min(a[2], b[2], c[2]), NEAR), max(a[2], b[2], c[2])
+            _fill_spans(planes, sign, K, x, y, (u0, v0, u1, v1), lows, highs)
+            za, zb, zc = a[2], vertices[j, 2], vertices[k, 2]
+            nearest, farthest = max(min(za, zb, zc), NEAR), max(za, zb, zc)
             # Row by row: pixels inside all three edges, at the depth of the triangle's plane there.
             for v in range(v0, v1):
-                y = (v - K[1, 2]) / K[1, 1]
-                low, high = _row_span(planes, sign, K, y, u0, u1)
+                low, high = lows[v], highs[v]
+                ny = n1 * y[v]
+                if high - low >= LONG:
+                    _draw_run(
+                        x[low:high], n0, ny, n2, offset, nearest, farthest, t, depth[v, low:high], face_at[v, low:high]
+                    )
+                    continue
                 for u in range(low, high):
-                    x = (u - K[0, 2]) / K[0, 0]
-                    e0 = sign * (planes[0, 0] * x + planes[0, 1] * y + planes[0, 2])
-                    e1 = sign * (planes[1, 0] * x + planes[1, 1] * y + planes[1, 2])
-                    e2 = sign * (planes[2, 0] * x + planes[2, 1] * y + planes[2, 2])
-                    if e0 < 0.0 or e1 < 0.0 or e2 < 0.0:
-                        continue
-                    slant = n0 * x + n1 * y + n2
-                    if slant == 0.0:
+                    slant = n0 * x[u] + ny + n2
+                    if nearest >= depth[v, u] or slant == 0.0:
                         continue
                     z = min(max(offset / slant, nearest), farthest)
                     if z < depth[v, u]:
@@ -138,9 +309,17 @@ def rasterise(
                         face_at[v, u] = t
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def count_silhouettes(
-    vertices: Floats, faces: Ints, rotations: Floats, positions: Floats, K: Floats, region: Longs, stamp: Ints
+    vertices: Floats,
+    faces: Ints,
+    rotations: Floats,
+    positions: Floats,
+    K: Floats,
+    x: Floats,
+    y: Floats,
+    region: Longs,
+    stamp: Ints,
 ) -> Longs:
     """Return the (N,) number of pixels in the silhouette of one closed mesh at each of N poses, drawn alone.
 
@@ -150,166 +329,49 @@ def count_silhouettes(
         rotations: (N, 3, 3) float64 rotations from the part frame to the camera's.
         positions: (N, 3) float64 origins of the part frame in the camera frame [m].
         K: (3, 3) pinhole matrix [px].
+        x: (W,) float64 coordinates of the image's columns at depth 1.
+        y: (H,) float64 coordinates of the image's rows at depth 1.
         region: (4,) int64 rectangle of pixels that count.
         stamp: (H, W) int32 last pose that each pixel was counted for, filled with -1; changed in place.
     """
     counts = np.zeros(len(positions), np.int64)
-    planes = np.empty((3, 3))
+    planes, lows, highs = np.empty((3, 3)), np.empty(len(y), np.int32), np.empty(len(y), np.int32)
     owner = np.zeros(len(vertices), np.int64)
     for n in range(len(positions)):
         placed = place_vertices(vertices, owner, rotations[n : n + 1], positions[n : n + 1])
+        flat = image_plane(placed)
         for t in range(len(faces)):
-            a, b, c = placed[faces[t, 0]], placed[faces[t, 1]], placed[faces[t, 2]]
-            u0, v0, u1, v1 = _pixel_box(a, b, c, K, region)
-            if u0 >= u1 or v0 >= v1:
-                continue
-            _edge_planes(a, b, c, planes)
+            i, j, k = faces[t, 0], faces[t, 1], faces[t, 2]
+            a = placed[i]
+            _edge_planes(a, placed[j], placed[k], planes)
             offset = a[0] * planes[0, 0] + a[1] * planes[0, 1] + a[2] * planes[0, 2]
             if offset >= 0.0:  # the front faces of a closed mesh cover its whole silhouette
                 continue
+            u0, v0, u1, v1 = _pixel_box(placed, flat, i, j, k, K, region)
+            if u0 >= u1 or v0 >= v1:
+                continue
+            _fill_spans(planes, -1.0, K, x, y, (u0, v0, u1, v1), lows, highs)
             # Count each pixel once for this pose, whichever of its faces covers it.
             for v in range(v0, v1):
-                y = (v - K[1, 2]) / K[1, 1]
-                low, high = _row_span(planes, -1.0, K, y, u0, u1)
-                for u in range(low, high):
-                    if stamp[v, u] == n:
-                        continue
-                    x = (u - K[0, 2]) / K[0, 0]
-                    e0 = planes[0, 0] * x + planes[0, 1] * y + planes[0, 2]
-                    e1 = planes[1, 0] * x + planes[1, 1] * y + planes[1, 2]
-                    e2 = planes[2, 0] * x + planes[2, 1] * y + planes[2, 2]
-                    if e0 <= 0.0 and e1 <= 0.0 and e2 <= 0.0:
-                        stamp[v, u] = n
-                        counts[n] += 1
+                for u in range(lows[v], highs[v]):
+                    counts[n] += stamp[v, u] != n
+                    stamp[v, u] = n
     return counts
 
 
-@njit(cache=True, nogil=True)
-def interpolate_normals(
-    vertices: Floats,
-    faces: Ints,
-    corner_normals: Singles,
-    face_geom: Ints,
-    rotations: Floats,
-    K: Floats,
-    region: Longs,
-    geom_at: Ints,
-    face_at: Ints,
-    normals: Singles,
-) -> None:
-    """Overwrite (H, W, 3) float32 ``normals`` in place where ``face_at`` belongs to the geom in ``geom_at``.
-
-    ``corner_normals`` (T, 3, 3) float32 are in their geoms' frames, ``rotations`` (G, 3, 3) turn them to the camera's.
-    """
-    planes = np.empty((3, 3))
-    for v in range(region[1], region[3]):
-        y = (v - K[1, 2]) / K[1, 1]
-        for u in range(region[0], region[2]):
-            t = face_at[v, u]
-            if t < 0 or face_geom[t] != geom_at[v, u]:
-                continue
-            x = (u - K[0, 2]) / K[0, 0]
-            _edge_planes(vertices[faces[t, 0]], vertices[faces[t, 1]], vertices[faces[t, 2]], planes)
-            # Mean of the corners' normals, weighted by the barycentric coordinates of the pixel.
-            n0 = n1 = n2 = 0.0
-            side = 0.0
-            for k in range(3):
-                w = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
-                n0 += w * corner_normals[t, k, 0]
-                n1 += w * corner_normals[t, k, 1]
-                n2 += w * corner_normals[t, k, 2]
-                side += w
-            # Turned to the camera frame and to unit length.
-            R = rotations[geom_at[v, u]]
-            m0 = R[0, 0] * n0 + R[0, 1] * n1 + R[0, 2] * n2
-            m1 = R[1, 0] * n0 + R[1, 1] * n1 + R[1, 2] * n2
-            m2 = R[2, 0] * n0 + R[2, 1] * n1 + R[2, 2] * n2
-            # A face seen from its front has negative weights; one seen from behind has its normal turned to the eye.
-            length = -np.sqrt(m0 * m0 + m1 * m1 + m2 * m2)
-            if length < 0.0 and side != 0.0:
-                normals[v, u, 0] = m0 / length
-                normals[v, u, 1] = m1 / length
-                normals[v, u, 2] = m2 / length
-
-
-@njit(cache=True, nogil=True)
-def split_groups(group_at: Ints, inside: Bytes, u0: int, v0: int, child: Ints, count: int) -> int:
-    """Move the pixels under a mask from their groups to new ones: all pixels of one group to the same new group.
+@njit(cache=True, nogil=True, error_model="numpy")
+def faces_to_geoms(face_at: Ints, face_geom: Ints, depth: Floats) -> None:
+    """Replace the face of each pixel by its geom, and the depth of pixels that show no face by 0, both in place.
 
     Args:
-        group_at: (H, W) int32 group of each pixel, -1 for none; changed in place.
-        inside: (h, w) uint8 mask of the pixels to move.
-        u0: Column of the mask's left edge in the image.
-        v0: Row of the mask's top edge in the image.
-        child: (capacity,) int32 filled with -1; receives the new group of each group that pixels were moved from.
-        count: Number of groups so far.
-
-    Returns:
-        The new number of groups.
+        face_at: (H, W) int32 face of each pixel, -1 for none; then the geom.
+        face_geom: (T,) int32 geom of each face.
+        depth: (H, W) float64 depth [m].
     """
-    for v in range(inside.shape[0]):
-        for u in range(inside.shape[1]):
-            old = group_at[v0 + v, u0 + u]
-            if inside[v, u] == 0 or old < 0:
-                continue
-            if child[old] < 0:
-                child[old] = count
-                count += 1
-            group_at[v0 + v, u0 + u] = child[old]
-    return count
-
-
-@njit(cache=True, nogil=True)
-def group_pixels(group_at: Ints, region: Longs, count: int) -> tuple[Longs, Longs]:
-    """Sort the region's pixels by group (a counting sort).
-
-    Returns:
-        (P,) flat pixel indices, and the (count + 1,) index at which each group starts in them.
-    """
-    # Count each group's pixels; their running sum is where each group starts.
-    start = np.zeros(count + 1, np.int64)
-    width = group_at.shape[1]
-    for v in range(region[1], region[3]):
-        for u in range(region[0], region[2]):
-            if group_at[v, u] >= 0:
-                start[group_at[v, u] + 1] += 1
-    for g in range(count):
-        start[g + 1] += start[g]
-    # Put each pixel to the next free place of its group.
-    place = start[:-1].copy()
-    pixels = np.empty(start[-1], np.int64)
-    for v in range(region[1], region[3]):
-        for u in range(region[0], region[2]):
-            g = group_at[v, u]
-            if g >= 0:
-                pixels[place[g]] = v * width + u
-                place[g] += 1
-    return pixels, start
-
-
-@njit(cache=True, nogil=True)
-def pixel_rays(pixels: Longs, width: int, K: Floats) -> Floats:
-    """Return the (3 N,) float64 rays with z = 1 through flat ``pixels`` (N,)."""
-    rays = np.empty(3 * len(pixels))
-    for i in range(len(pixels)):
-        v = pixels[i] // width
-        u = pixels[i] - v * width
-        rays[3 * i] = (u - K[0, 2]) / K[0, 0]
-        rays[3 * i + 1] = (v - K[1, 2]) / K[1, 1]
-        rays[3 * i + 2] = 1.0
-    return rays
-
-
-@njit(cache=True, nogil=True)
-def scatter_hits(
-    pixels: Longs, hit_geom: Ints, hit_depth: Floats, hit_normal: Floats, depth: Floats, geom_at: Ints, normals: Singles
-) -> None:
-    """Write rays' results to their pixels in place: flat (H W,) ``depth`` and ``geom_at``, (H W, 3) ``normals``."""
-    for i in range(len(pixels)):
-        if hit_geom[i] < 0:
-            continue
-        p = pixels[i]
-        depth[p] = hit_depth[i]
-        geom_at[p] = hit_geom[i]
-        for k in range(3):
-            normals[p, k] = hit_normal[3 * i + k]
+    for v in range(len(face_at)):
+        for u in range(face_at.shape[1]):
+            t = face_at[v, u]
+            if t < 0:
+                depth[v, u] = 0.0
+            else:
+                face_at[v, u] = face_geom[t]

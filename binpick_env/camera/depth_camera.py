@@ -13,6 +13,7 @@ from binpick_env.camera import _image_kernels
 from binpick_env.camera.appearance import Appearance
 from binpick_env.camera.depth_sensor import DepthSensor, TrueView
 from binpick_env.camera.egl import EglRenderer
+from binpick_env.camera.freed_memory import keep_freed_memory
 from binpick_env.camera.photograph import photograph
 from binpick_env.camera.raster import Rasteriser
 from binpick_env.camera.rays import RayCaster
@@ -84,6 +85,7 @@ class DepthCamera:
         instance_of_geom = np.asarray(instance_of_geom, np.int64)
         if instance_of_geom.shape != (model.ngeom,):
             raise ValueError(f"instance_of_geom must be (ngeom,) = ({model.ngeom},), got {instance_of_geom.shape}")
+        keep_freed_memory()
         self.config = config
         self.workspace = workspace
         self.K = camera_matrix(config.focal_px, config.width, config.height)
@@ -159,7 +161,7 @@ class DepthCamera:
         if appearance.deviation > 0:
             hits = deviate(hits, view, part_pixels(hits.geom_at, self._instances), appearance)
         depth_true = hits.depth.astype(np.float32)
-        instance_ids = self._instances[hits.geom_at]
+        instance_ids: NDArray[np.int64] = _image_kernels.instances_at(hits.geom_at, self._instances)
         if appearance.is_clean:
             grey = (light or Light()).shade(depth_true, hits.normals, instance_ids, self.K)
         else:

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from binpick_env.camera import _normal_kernels
 from binpick_env.camera import _raster_kernels as _kernels
 from binpick_env.camera.view import Hits, View, visible_geoms
 from perception.geometry import Floats
@@ -73,14 +74,10 @@ class Rasteriser:
     def draw(self, view: View) -> Hits:
         """Return the nearest mesh or box behind every pixel of the view's region, with smooth normals."""
         vertices, depth, face_at = self._draw(view)
-        geom_at = np.where(face_at >= 0, self._face_geom[face_at], -1).astype(np.int32) if len(self._faces) else face_at
-        hits = Hits(
-            depth=np.where(face_at >= 0, depth, 0.0),
-            geom_at=geom_at,
-            normals=np.zeros((view.height, view.width, 3), np.float32),
-        )
-        self._interpolate(view, vertices, face_at, hits)
-        return hits
+        normals = np.zeros((view.height, view.width, 3), np.float32)
+        self._interpolate(view, vertices, face_at, normals)
+        _kernels.faces_to_geoms(face_at, self._face_geom, depth)
+        return Hits(depth=depth, geom_at=face_at, normals=normals)
 
     def smooth(self, view: View, hits: Hits) -> Hits:
         """Replace flat normals by smooth ones wherever the rasteriser finds the same geom as ``hits``.
@@ -88,31 +85,35 @@ class Rasteriser:
         MuJoCo's rays give the normal of the flat face, which would show the facets of a cylinder as edges.
         """
         vertices, _, face_at = self._draw(view)
-        smoothed = Hits(depth=hits.depth, geom_at=hits.geom_at, normals=hits.normals.copy())
-        self._interpolate(view, vertices, face_at, smoothed)
-        return smoothed
+        normals = hits.normals.copy()
+        if len(self._faces):
+            face_at[self._face_geom[face_at] != hits.geom_at] = -1
+        self._interpolate(view, vertices, face_at, normals)
+        return Hits(depth=hits.depth, geom_at=hits.geom_at, normals=normals)
 
     def _draw(self, view: View) -> tuple[Floats, Floats, NDArray[np.int32]]:
         vertices = _kernels.place_vertices(self._vertices, self._vertex_geom, view.rotations, view.positions)
         depth = np.full((view.height, view.width), np.inf)
         face_at = np.full((view.height, view.width), -1, np.int32)
+        ranges = self._vertex_range, self._face_range
         _kernels.rasterise(
-            vertices, self._faces, self._face_range, self._two_sided, view.K, view.region, depth, face_at
+            vertices, self._faces, *ranges, self._two_sided, view.K, *view.slopes(), view.region, depth, face_at
         )
         return vertices, depth, face_at
 
-    def _interpolate(self, view: View, vertices: Floats, face_at: NDArray[np.int32], hits: Hits) -> None:
-        _kernels.interpolate_normals(
+    def _interpolate(
+        self, view: View, vertices: Floats, face_at: NDArray[np.int32], normals: NDArray[np.float32]
+    ) -> None:
+        _normal_kernels.interpolate_normals(
             vertices,
             self._faces,
             self._normals,
             self._face_geom,
             view.rotations,
-            view.K,
+            *view.slopes(),
             view.region,
-            hits.geom_at,
             face_at,
-            hits.normals,
+            normals,
         )
 
 

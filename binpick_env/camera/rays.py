@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.camera import _raster_kernels as _kernels
+from binpick_env.camera import _ray_kernels as _kernels
 from binpick_env.camera.view import VISIBLE, Hits, View, visible_geoms
 from perception.geometry import NEAR, Floats, project_points
 

@@ -5,12 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.camera import _image_kernels
+from binpick_env.camera import _sensor_kernels
 from binpick_env.camera.depth_sensor import DepthSensor, TrueView
 from binpick_env.camera.stereo import StereoModel
 from binpick_env.camera.time_of_flight import TimeOfFlightModel
 from binpick_env.config import SensorPreset
 from perception.geometry import Floats, require_shape
+
+_ROWS = 64  # rows that are measured at once: their random numbers stay in the processor's cache
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,14 +74,26 @@ class SensorModel:
         if self.is_perfect:
             return depth_true.copy()
         noise = rng.standard_normal(depth_true.shape, dtype=np.float32)
-        chance = rng.random(depth_true.shape, dtype=np.float32)
-        lost = _image_kernels.beside_steps(depth_true, normals, K, self.edge_jump) & (chance < self.edge_loss)
-        if self.baseline != 0:
-            lost |= _image_kernels.projector_shadow(depth_true, K, self.baseline)
-        min_cosine = float(np.cos(self.max_incidence))
-        measured: NDArray[np.float32] = _image_kernels.measure(
-            depth_true, normals, lost, K, noise, self.sigma_z, self.reference, min_cosine
-        )
+        measured = np.empty(depth_true.shape, np.float32)
+        chance = np.empty((_ROWS, depth_true.shape[1]), np.float32)
+        for first in range(0, len(depth_true), _ROWS):
+            rows = chance[: len(depth_true) - first]
+            rng.random(dtype=np.float32, out=rows)
+            _sensor_kernels.measure_rows(
+                depth_true,
+                normals,
+                K,
+                noise,
+                rows,
+                first,
+                self.sigma_z,
+                self.reference,
+                self.edge_loss,
+                self.edge_jump,
+                float(np.cos(self.max_incidence)),
+                self.baseline,
+                measured,
+            )
         return measured
 
 

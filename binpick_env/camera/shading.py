@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.camera import _image_kernels
+from binpick_env.camera import _image_kernels, _occlusion_kernels
 from perception.geometry import Floats
 
 FACET = 0.0003  # height up to which nothing is occluded [m]: a facet over its smooth surface, and rounding
@@ -66,7 +66,7 @@ class Light:
         """Return the (H, W) grey image of surfaces with (H, W) float32 albedos in [0, 1]; see `shade`."""
         to_light = np.array(self.to_light) / np.linalg.norm(self.to_light)
         if self.occlusion > 0:
-            occluded = _image_kernels.ambient_occlusion(depth, normals, K, self.radius, FACET, STEP)
+            occluded = _occlusion_kernels.ambient_occlusion(depth, normals, K, self.radius, FACET, STEP)
         else:
             occluded = np.zeros_like(depth)
         grey: NDArray[np.uint8] = _image_kernels.shade(

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from binpick_env.camera import _image_kernels
+from binpick_env.camera import _sensor_kernels
 from binpick_env.camera.depth_sensor import TrueView, cosine_of_incidence, smooth_noise
 
 _FAR = np.float32(1e3)  # stands for "no depth" while the nearest neighbour is looked for [m]
@@ -77,7 +77,7 @@ class StereoModel:
         depth = np.float32(self.focal * abs(self.baseline)) / rounded
         # Patches are lost where the correlated chance, made uniform, is under the share of loss.
         lost = (_uniform(chance) < self._loss(view, cosine)) & ~fattened
-        lost |= _image_kernels.projector_shadow(view.depth, view.K, self.baseline) & ~fattened
+        lost |= _sensor_kernels.projector_shadow(view.depth, view.K, self.baseline) & ~fattened
         return np.where((view.depth > 0) & ~lost, depth, np.float32(0))
 
     def _fatten(

@@ -31,6 +31,10 @@ class View:
     rotations: Floats
     positions: Floats
 
+    def slopes(self) -> tuple[Floats, Floats]:
+        """Return the coordinates at depth 1 of the image's columns, (W,) float64, and of its rows, (H,)."""
+        return pixel_slopes(self.K, self.width, self.height)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Hits:
@@ -51,6 +55,17 @@ class Hits:
         """Return arrays in which there is nothing behind any pixel, for a backend to fill."""
         size = (view.height, view.width)
         return cls(depth=np.zeros(size), geom_at=np.full(size, -1, np.int32), normals=np.zeros((*size, 3), np.float32))
+
+
+def pixel_slopes(K: Floats, width: int, height: int) -> tuple[Floats, Floats]:
+    """Return the coordinates at depth 1 of an image's columns, (W,) float64, and of its rows, (H,).
+
+    Args:
+        K: (3, 3) pinhole matrix [px].
+        width: Width of the image [px].
+        height: Height of the image [px].
+    """
+    return (np.arange(width) - K[0, 2]) / K[0, 0], (np.arange(height) - K[1, 2]) / K[1, 1]
 
 
 def visible_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:

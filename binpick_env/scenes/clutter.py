@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from binpick_env.camera import _raster_kernels as _kernels
 from binpick_env.camera.depth_camera import Capture
+from binpick_env.camera.view import pixel_slopes
 from perception.geometry import Floats, invert_transform, require_shape
 
 
@@ -117,6 +118,7 @@ def silhouette_pixels(
         np.ascontiguousarray(T_cam_parts[:, :3, :3]),
         np.ascontiguousarray(T_cam_parts[:, :3, 3]),
         K,
+        *pixel_slopes(K, size[1], size[0]),
         np.array(region if region is not None else (0, 0, size[1], size[0]), np.int64),
         np.full(size, -1, np.int32),
     )
