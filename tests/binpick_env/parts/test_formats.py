@@ -245,6 +245,19 @@ def test_corners_that_differ_by_more_than_rounding_are_refused_as_open(save: Sav
     assert 1e-5 < float(found.group(1)) < 1e-4
 
 
+def test_the_corners_of_true_holes_are_not_said_to_be_one(save: Save) -> None:
+    """Ten triangles are missing, each 60 mm long and 2 mm wide, which meet in corners."""
+    tube = creation.cylinder(radius=0.02, height=0.06, sections=64)
+    side = np.flatnonzero(np.abs(tube.face_normals[:, 2]) < 0.5)
+    lower = side[tube.triangles_center[side, 2] < 0]
+    angles = np.arctan2(*tube.triangles_center[lower, :2].T)
+    kept = np.ones(len(tube.faces), np.bool_)
+    kept[lower[np.argsort(angles)[:10]]] = False
+    tube.update_faces(kept)
+    with pytest.raises(ValueError, match=r"30 of \d+ edges are open and 0 .* or more; export the part as a solid"):
+        read_mesh(save(tube))
+
+
 def test_a_closed_part_with_a_lone_triangle_is_refused_as_open(save: Save) -> None:
     lone = trimesh.Trimesh([(0.1, 0, 0), (0.11, 0, 0), (0.1, 0.01, 0.002)], [(0, 1, 2)], process=False)
     with pytest.raises(ValueError, match=r"3 of \d+ edges are open .* more; export the part"):

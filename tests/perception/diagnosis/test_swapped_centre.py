@@ -57,10 +57,11 @@ def test_a_measured_bin_does_not_hide_a_swapped_principal_point() -> None:
         GOOD,
         with_centre(GOOD, (250.0, 170.0)),
         crop_frame(GOOD, 120, 0, 360, 240),  # its principal point is the middle of 240 x 360 pixels
+        crop_frame(GOOD, 140, 30, 300, 200),  # of 200 x 300; swapped, more of the bin would be in view
         crop_frame(GOOD, 0, 0, 380, 285),
         crop_frame(GOOD, 60, 0, 360, 360),
     ],
-    ids=["centred", "decentred", "upper right", "upper left", "square"],
+    ids=["centred", "decentred", "upper right", "middle right", "upper left", "square"],
 )
 def test_centred_decentred_and_cropped_cameras_are_not_taken_for_swapped_ones(frame: Frame) -> None:
     assert swapped_centre_cause(frame, scene.BIN) is None
