@@ -96,7 +96,8 @@ def _near_corners(mesh: trimesh.Trimesh) -> float | None:
         return None
     vertices = np.asarray(mesh.vertices, np.float64)
     border = vertices[np.unique(lone)]
-    apart = float(np.median(cKDTree(border).query(border, 2)[0][:, 1]))
+    distances, _ = cKDTree(border).query(border, [2])  # the first is the corner itself
+    apart = float(np.median(distances))
     lengths = np.linalg.norm(np.diff(vertices[lone], axis=1)[:, 0], axis=1)
     return apart if apart <= _NEAR * float(np.quantile(lengths, _SHORTER)) else None
 
