@@ -20,8 +20,10 @@ log = logging.getLogger(__name__)
 _MERGING = (1e-7, 1e-6, 1e-5, 1e-4)  # distances within which vertices are merged, one after the other [extent]
 _FLAT = 0.005  # share of the extent; a hole whose border deviates less from a plane is closed, however wide it is
 _SMALL = 0.1  # share of the extent; a hole that is narrower is closed, whatever its border
-_NEIGHBOURS = 8  # number of the nearest corners among which that of no common edge is looked for
-_NEAR = 0.1  # distance of corners that may be one, as a share of the open edges' length
+_NEAR, _SHORTER = (
+    0.1,
+    0.1,
+)  # distance of corners that may be one, as a share of this quantile of the open edges' lengths
 _SHEET = 1e-6  # share of area times extent; a surface that encloses less has no volume
 
 
@@ -84,24 +86,20 @@ def closed(mesh: trimesh.Trimesh, path: Path) -> trimesh.Trimesh:
 
 
 def _near_corners(mesh: trimesh.Trimesh) -> float | None:
-    """Return how far the corners along open edges lie from the next one's that may be meant; None if none is near.
+    """Return how far the corners along open edges lie from the nearest ones that may be meant; None if none is near.
 
-    The next one is that of no common edge. It is near within a tenth of the open edges' length: within a true hole, it
-    is two edges away.
+    They are near within a tenth of the shorter open edges' length: around a true hole, the nearest is one edge away.
     """
     edges, counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
     lone = edges[counts == 1]
-    border = np.unique(lone)
-    if len(border) <= _NEIGHBOURS:
+    if len(lone) == 0:
         return None
     vertices = np.asarray(mesh.vertices, np.float64)
-    distances, nearest = cKDTree(vertices[border]).query(vertices[border], _NEIGHBOURS)
-    pairs = np.sort(np.stack([np.broadcast_to(border[:, None], nearest.shape), border[nearest]], axis=-1), axis=-1)
-    joined = np.isin(pairs @ (len(vertices), 1), edges @ (len(vertices), 1))
-    own = nearest == np.arange(len(border))[:, None]
-    apart = float(np.median(np.where(joined | own, np.inf, distances).min(axis=1)))
+    border = vertices[np.unique(lone)]
+    distances, _ = cKDTree(border).query(border, [2])  # the first is the corner itself
+    apart = float(np.median(distances))
     lengths = np.linalg.norm(np.diff(vertices[lone], axis=1)[:, 0], axis=1)
-    return apart if apart <= _NEAR * float(np.median(lengths)) else None
+    return apart if apart <= _NEAR * float(np.quantile(lengths, _SHORTER)) else None
 
 
 def _cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:

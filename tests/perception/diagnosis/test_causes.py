@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.bin import find_bin, reconcile
 from perception.capture import crop_frame
-from perception.diagnosis import FrameReport, PoseCounts, diagnose, log, swapped_centre_cause
+from perception.diagnosis import FrameReport, PoseCounts, diagnose, log
 from perception.diagnosis.geometry_causes import geometry_causes
 from perception.diagnosis.samples import DepthSamples
 from perception.diagnosis.setup import Setup
-from perception.diagnosis.size_unit import size_unit_cause
 from perception.frame import Frame, Workspace
 from perception.geometry import invert_transform, make_transform, ray_lengths, rotation_about
 from perception.part import PartModel
@@ -285,78 +283,6 @@ def test_a_part_as_thin_as_the_noise_is_named() -> None:
     assert "the part is 2 mm thick, and the noise of the depth is 1." in str(report)
     assert "mm: parts that lie flat on the floor hardly stand out from it" in str(report)
     assert names(diagnose(GOOD, scene.BIN, plate)) == []
-
-
-def with_centre(frame: Frame, centre: tuple[float, float]) -> Frame:
-    K = frame.K.copy()
-    K[:2, 2] = centre
-    return replace(frame, K=K)
-
-
-def test_swapped_coordinates_of_the_principal_point_are_named_though_poses_were_found() -> None:
-    found = PoseCounts(groups=4, found=4)
-    swapped = with_centre(GOOD, (179.5, 239.5))
-    for counts in (None, found):
-        report = diagnose(swapped, scene.BIN, scene.ELL, poses=counts)
-        assert names(report) == ["camera_matrix"]
-        text = "principal point (180, 240) px is the middle of an image of 360 x 480 px, but this one has 480 x 360: cx"
-        assert text in str(report)
-    _, setup = geometry_causes(DepthSamples.of(swapped), Setup.of(swapped, scene.BIN), poses_found=True)
-    np.testing.assert_array_equal(setup.K, GOOD.K)
-    assert swapped_centre_cause(with_centre(GOOD, (187.0, 235.0)), scene.BIN) is not None  # a decentred lens
-
-
-def test_a_measured_bin_does_not_hide_a_swapped_principal_point() -> None:
-    """The measurement puts the bin where the wrong camera matrix shows it."""
-    for frame, said in ((GOOD, []), (with_centre(GOOD, (179.5, 239.5)), ["camera_matrix"])):
-        fit = find_bin(frame, scene.BIN.inner_size, scene.BIN)
-        assert fit.reliable
-        corrected, workspace = reconcile(frame, scene.BIN, fit, "camera")
-        cause = swapped_centre_cause(frame, scene.BIN)
-        assert ([] if cause is None else [cause.name]) == said
-        assert names(diagnose(corrected, workspace, scene.ELL)) == []
-
-
-@pytest.mark.parametrize(
-    "frame",
-    [
-        GOOD,
-        with_centre(GOOD, (250.0, 170.0)),
-        crop_frame(GOOD, 120, 0, 360, 240),  # its principal point is the middle of 240 x 360 pixels
-        crop_frame(GOOD, 0, 0, 380, 285),
-        crop_frame(GOOD, 60, 0, 360, 360),
-    ],
-    ids=["centred", "decentred", "upper right", "upper left", "square"],
-)
-def test_centred_decentred_and_cropped_cameras_are_not_taken_for_swapped_ones(frame: Frame) -> None:
-    assert swapped_centre_cause(frame, scene.BIN) is None
-    assert "camera_matrix" not in names(diagnose(frame, scene.BIN, scene.ELL, poses=PoseCounts(groups=4, found=4)))
-
-
-def test_without_a_bins_place_a_swapped_principal_point_is_told_by_itself_alone() -> None:
-    assert swapped_centre_cause(GOOD, None) is None
-    assert swapped_centre_cause(with_centre(GOOD, (187.0, 235.0)), None) is None
-    cause = swapped_centre_cause(with_centre(GOOD, (180.0, 240.0)), None)
-    assert cause is not None
-    assert "swap K[0, 2] and K[1, 2] (in --calibration on the command line), unless this image was cut" in cause.text
-
-
-@pytest.mark.parametrize(
-    ("unit", "scale"), [("millimetres", 0.001), ("centimetres", 0.01), ("inches", 0.0254), ("centimetres", None)]
-)
-def test_the_unit_of_a_size_is_that_by_which_the_measurements_fill_the_bin(unit: str, scale: float | None) -> None:
-    """In a smaller unit the box lies within the bin, and is full, too; without measurements it is the plausible one."""
-    size = scene.BIN.inner_size / (scale or 0.01) * (1.2 if unit == "inches" else 1.0)
-    depth = GOOD.depth if scale else np.where(np.arange(480) < 10, GOOD.depth, np.float32(0))
-    given = replace(Setup.of(GOOD, scene.BIN), inner_size=size)
-    found = size_unit_cause(DepthSamples.of(replace(GOOD, depth=depth)), given)
-    assert found is not None
-    assert f"it seems to be in {unit};" in found[0].text
-
-
-def test_a_bin_as_large_as_a_room_is_believed() -> None:
-    large = replace(bin_moved(-scene.TABLE), inner_size=np.array([3.1, 2.0, 0.8]))
-    assert names(diagnose(GOOD, large, scene.ELL)) == []
 
 
 def test_poses_that_were_found_exclude_a_wrong_camera_matrix() -> None:
