@@ -52,16 +52,30 @@ def compute(key: str, required: Mapping[str, str], fetch: Callable[[], Job], ind
         index: Index to compute.
 
     Raises:
-        WorkerError: This node runs another build.
+        WorkerError: This node runs another build; or the work raised what cannot be sent back. What else it raises is
+            raised unchanged.
     """
     global _loaded
     if _loaded is None or _loaded.key != key:
         _require_build(required)
         _loaded = _load(key, fetch())
-    with _compiled_once(_loaded.name), one_core():
-        if isinstance(_loaded.work, FolderWork):
-            return _in_own_folder(_loaded.work, index)
-        return Outcome(result=_loaded.work(index), files={})
+    try:
+        with _compiled_once(_loaded.name), one_core():
+            if isinstance(_loaded.work, FolderWork):
+                return _in_own_folder(_loaded.work, index)
+            return Outcome(result=_loaded.work(index), files={})
+    except (Exception, SystemExit) as error:
+        raise _sendable(error) from error
+
+
+def _sendable(error: BaseException) -> BaseException:
+    """Return an error that arrives as it is; one of another kind with its text where it would not."""
+    if isinstance(error, Exception):
+        with suppress(Exception):
+            arrived = pickle.loads(pickle.dumps(error))
+            if type(arrived) is type(error) and str(arrived) == str(error):
+                return error
+    return WorkerError(f"the work failed: {type(error).__name__}: {error}")
 
 
 def node_folder() -> Path:
@@ -99,9 +113,11 @@ def _unpacked(job: Job) -> JobFiles:
     """Write the files of a job into the node's folder, once per node."""
     digest = hashlib.sha256(pickle.dumps((job.files, sorted(job.weights.items())))).hexdigest()[:16]
     folder = node_folder() / "inputs" / digest
-    copies = {file: folder / str(k) / Path(file.names[-1]).name for k, file in enumerate(job.files)}
+    copies = {file: folder / str(k) / Path(file.names[0]).name for k, file in enumerate(job.files)}
     weights = folder / "weights"
     with _locked("inputs"):
+        if folder.exists() and not all(copy.exists() for copy in copies.values()):
+            shutil.rmtree(folder)  # something that cleans up temporary files has removed some
         if not folder.exists():
             draft = folder.with_name(f".{digest}")
             shutil.rmtree(draft, ignore_errors=True)

@@ -8,7 +8,7 @@ from binpick_env.env import BinPickEnv
 from policies.picking.bin_view import BinView
 from policies.picking.execution import Execution
 from policies.picking.load_check import LoadCheck
-from policies.picking.load_image import bin_changed, image_of
+from policies.picking.load_image import bin_changed, image_of, shows_motion
 
 _STREAM = 2  # number of the random stream of the second images; 1 is that of the wrist
 
@@ -17,7 +17,8 @@ class FrameAhead:
     """Takes the next frame as soon as arm and load are out of sight, and takes it again at home where it is outdated.
 
     A second image follows the frame, when the load has been released. Its exposure passes while the frame is perceived.
-    If it shows another bin, parts were still moving, and nothing that the frame led to is executed.
+    If it shows another bin, parts were still moving, and nothing that the frame led to is executed. Of parts that are
+    too thin or too small for that no frame is taken ahead.
     """
 
     def __init__(self, env: BinPickEnv, cell: float) -> None:
@@ -29,6 +30,7 @@ class FrameAhead:
         """
         self._env, self._cell = env, cell
         self._view = BinView(env)
+        self._shows_motion = shows_motion(env.part.model)
         self.reset()
 
     def reset(self) -> None:
@@ -42,7 +44,13 @@ class FrameAhead:
         Not where an image of the bin has to tell one part from two: the frame would be outdated if they are put back.
         """
         self._outdated = False
-        execution.look_when(lambda: not check.needs_image and self._view.clear())
+        if self._shows_motion:
+            execution.look_when(lambda: not check.needs_image and self._view.clear())
+
+    def look(self, execution: Execution) -> None:
+        """Take the frame at the end of the carry, if it is not taken yet, and arm and load are out of sight."""
+        if self._shows_motion and self._view.clear():
+            execution.look_ahead()
 
     def compare(self, execution: Execution) -> float:
         """See whether anything has moved since the frame; return the wall clock spent on it [s]."""
@@ -55,5 +63,9 @@ class FrameAhead:
 
     def renew(self, execution: Execution) -> None:
         """Take the frame again, with the arm at home, if the bin is no longer as it shows it."""
-        if execution.looked_ahead and (execution.retraced or execution.emptied or self._outdated):
+        if not execution.looked_ahead or not (execution.retraced or execution.emptied or self._outdated):
+            return
+        if self._env.episode.away:  # a protective stop holds the arm, perhaps before the camera
+            self._env.expect_frame()
+        else:
             self._env.look()

@@ -10,15 +10,17 @@ from binpick_env.env import BinPickEnv
 from perception.frame import Frame, bin_region
 from perception.geometry import Floats
 from perception.part import PartModel
+from perception.thickness import part_thickness
 from policies.grasping.heightmap import HeightMap
 from policies.grasping.observed_scene import ObservedScene
 
-_STEP = 0.003  # change of height from which a cell shows another surface [m]: above the noise, below thin plates
+_STEP = 0.003  # change of height from which a cell shows another surface [m]: above the noise
 _FILLED = 0.002  # the same where the picked part was: something that is nearly as high lies there now [m]
 _ON_TOP = 0.004  # height over the picked part's surface from which a cell shows what lies on it [m]
 _FAR_ABOVE = 0.06  # height above the rim that no heaped pile reaches [m]
 _HIDDEN = 1e-4  # area in that height from which the bin counts as hidden [m^2]
 _CHANGED = 2e-4  # connected area of other depth from which something moved [m^2]; noise changes a quarter of that
+_THINNEST = 0.004  # thickness of a part from which its place shows another surface without it [m]
 _MARGIN = 0.006  # width around the picked part's outline that is left out [m]: pose errors, and edges
 _CROSS = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
 
@@ -90,6 +92,11 @@ def bin_changed(env: BinPickEnv, image: Frame, cell: float) -> bool:
     pixels = cv2.connectedComponentsWithStats(cv2.morphologyEx(moved.astype(np.uint8), cv2.MORPH_OPEN, _CROSS))[2]
     pixel = float(np.median(before)) ** 2 / (frame.K[0, 0] * frame.K[1, 1])  # area that a pixel shows [m^2]
     return bool(pixels[1:, cv2.CC_STAT_AREA].max(initial=0) * pixel > _CHANGED)
+
+
+def shows_motion(part: PartModel) -> bool:
+    """Return whether :func:`bin_changed` sees that a part has gone; thinner and smaller ones change too little."""
+    return part_thickness(part) >= _THINNEST and mean_silhouette(part) >= 2 * _CHANGED
 
 
 def mean_silhouette(part: PartModel) -> float:

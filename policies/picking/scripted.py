@@ -111,6 +111,7 @@ class ScriptedPicker:
 
         A push takes the place of a second abstention in a row, if the settings allow pushes.
         """
+        self._come_home()
         seen, self._seen = self._seen, self._env.episode.frame
         if seen is None:  # a first decision compiles kernels, which is no part of a decision's time
             self._decide()
@@ -330,7 +331,7 @@ class ScriptedPicker:
         double, planning = self._more_is_gone(T_world_part, check)
         if double:
             return planning + self._put_back(plan, execution, T_world_part, check)
-        execution.look_ahead()
+        self._ahead.look(execution)
         execution.release()
         return planning + self._ahead.compare(execution)
 
@@ -370,6 +371,12 @@ class ScriptedPicker:
         self._extra.put_back(centre, way.place_world)
         self.failed.add(way.place_world, plan.grasp.T_world_grasp, radius=self._env.part.model.d_max)
         return planning
+
+    def _come_home(self) -> None:
+        """Go home if a protective stop has kept the arm from it, so that a frame is taken there."""
+        if self._env.episode.away:
+            self._env.expect_frame()
+            self._go_home(self._execution(self._env, self.settings.execution))
 
     def _go_home(self, execution: Execution) -> float:
         """Lift out of the bin and go home with the jaw open; return the wall clock spent on planning [s]."""

@@ -78,6 +78,56 @@ def test_the_files_of_a_job_are_written_once_per_node(fresh_node: Path, tmp_path
     assert list(fresh_node.rglob(".*")) == []
 
 
+def test_a_linked_file_keeps_the_name_that_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file without a suffix in a store, to which a link with one leads, is read by the link's name."""
+    (tmp_path / "start" / "0123abcd").write_bytes(b"a gear")
+    (tmp_path / "start" / "gear.stl").symlink_to("0123abcd")
+    job = Job.of(partial(read_name, "gear.stl"), None, ())
+    monkeypatch.chdir("/")
+    assert compute(job, 0).result == ("gear.stl", b"a gear")
+
+
+def read_name(path: str, index: int) -> tuple[str, bytes]:
+    return local_file(Path(path)).name, local_file(Path(path)).read_bytes()
+
+
+def test_copies_that_a_cleaner_has_removed_are_written_again(fresh_node: Path, tmp_path: Path) -> None:
+    (tmp_path / "start" / "gear.stl").write_bytes(b"a gear")
+    job = Job.of(partial(read, "gear.stl"), None, ())
+    compute(job, 0)
+    (copy,) = fresh_node.rglob("gear.stl")
+    copy.unlink()
+    assert compute(job, 1, "another process").result[:2] == (1, b"a gear")
+
+
+class _TwoArgumentsError(Exception):
+    def __init__(self, code: int, text: str) -> None:
+        super().__init__(f"{code}: {text}")
+
+
+class _NoPickleError(Exception):
+    def __reduce__(self) -> str:
+        raise TypeError("not to be pickled")
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "text"),
+    [
+        (ValueError("a text"), ValueError, "^a text$"),
+        (_TwoArgumentsError(3, "late"), WorkerError, "^the work failed: _TwoArgumentsError: 3: late$"),
+        (_NoPickleError("here"), WorkerError, "^the work failed: _NoPickleError: here$"),
+        (SystemExit("enough"), WorkerError, "^the work failed: SystemExit: enough$"),
+    ],
+)
+def test_errors_of_the_work_arrive_or_are_told_in_words(error: BaseException, kind: type, text: str) -> None:
+    def fail(index: int) -> None:
+        raise error
+
+    node._loaded = node._LoadedJob(key="job", name="fail", work=fail)
+    with pytest.raises(kind, match=text):
+        node.compute("job", dict(build()), lambda: pytest.fail("it is loaded"), 0)
+
+
 def test_what_was_written_comes_back_in_the_order_of_writing(fresh_node: Path, tmp_path: Path) -> None:
     outcome = compute(Job.of(FolderWork(write, tmp_path / "kept"), None, ()), 0)
     assert list(outcome.files.items()) == [("b/z.txt", b"first"), ("a.txt", b"last")]

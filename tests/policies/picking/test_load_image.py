@@ -14,7 +14,7 @@ from perception.geometry import camera_matrix, make_transform
 from perception.part import PartModel
 from policies.grasping.heightmap import HeightMap
 from policies.grasping.observed_scene import ObservedScene
-from policies.picking.load_image import bin_changed, gone_beside, image_of, mean_silhouette
+from policies.picking.load_image import bin_changed, gone_beside, image_of, mean_silhouette, shows_motion
 from tests.binpick_env.small_cell import small_env
 
 WORKSPACE = Workspace(T_world_bin=make_transform(translation=(0.5, 0.1, 0.02)), inner_size=np.array([0.3, 0.2, 0.1]))
@@ -149,3 +149,16 @@ def test_a_frame_is_outdated_where_a_part_has_moved(sensor: SensorPreset, moved:
     pose[:3, 3] += (0.0, moved, 0.0)
     env.simulation.move(0, pose)
     assert bin_changed(env, image_of(env, np.random.default_rng(0)), 0.002) is changed
+
+
+@pytest.mark.parametrize(
+    ("sides", "shown"),
+    [
+        ((0.06, 0.04, 0.005), True),
+        ((0.06, 0.04, 0.0025), False),  # its place looks the same without it
+        ((0.025, 0.018, 0.012), True),
+        ((0.02, 0.014, 0.009), False),
+    ],
+)
+def test_thin_and_tiny_parts_move_unseen(sides: tuple[float, float, float], shown: bool) -> None:
+    assert shows_motion(PartModel.from_mesh("box", trimesh.creation.box(sides))) is shown
