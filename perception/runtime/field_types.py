@@ -1,5 +1,6 @@
 """Whether the fields of a dataclass that was made from a file or by a caller hold what their annotations say."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from numbers import Integral, Real
@@ -38,7 +39,7 @@ def require_finite(record: Any) -> None:
     for each in fields(record):
         value = getattr(record, each.name)
         numbers = value if isinstance(value, tuple | list | np.ndarray) else (value,)
-        if not all(np.isfinite(number) for number in numbers if isinstance(number, Real)):
+        if not all(math.isfinite(number) for number in numbers if isinstance(number, Real)):
             raise ValueError(f"{each.name} must be finite, got {value}")
 
 

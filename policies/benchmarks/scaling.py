@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -107,7 +107,7 @@ def _save_frames(path: Path, options: CellOptions, count: int, seed: int, repeat
         config=options.cell(),
         threads=1,
     )
-    arrays = {"T_world_bin": env.workspace.T_world_bin, "inner_size": env.workspace.inner_size}
+    arrays: dict[str, Any] = {"T_world_bin": env.workspace.T_world_bin, "inner_size": env.workspace.inner_size}
     for k in range(repeats):
         env.reset(seed=seed + k)
         frame = env.frame
