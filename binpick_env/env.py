@@ -306,10 +306,6 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         self._episode = replace(self.episode, frame=frame, ahead=ahead)
         return self._observation()
 
-    def expect_frame(self) -> None:
-        """Have a frame taken when the arm is home next, whatever was taken on its way there before."""
-        self._episode = replace(self.episode, ahead=False)
-
     def snapshot(self) -> Snapshot:
         """Return the state of the cell for :meth:`restore`, with its last frame and its random numbers.
 

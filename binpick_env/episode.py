@@ -95,7 +95,7 @@ class EpisodeState:
 
 
 class EpisodeProperties:
-    """The state of the current episode, as properties. Each raises a `RuntimeError` before the first reset."""
+    """The state of the current episode, as properties. All raise a `RuntimeError` before the first reset."""
 
     _episode: EpisodeState | None = None
 
@@ -105,6 +105,10 @@ class EpisodeProperties:
         if self._episode is None:
             raise RuntimeError("there is no frame before the first reset()")
         return self._episode
+
+    def expect_frame(self) -> None:
+        """Have a frame taken when the arm is home next, whatever was taken on its way there before."""
+        self._episode = replace(self.episode, ahead=False)
 
     @property
     def total(self) -> int:
