@@ -61,6 +61,9 @@ ELSEWHERE = {  # other shell lines, and what runs them
     "binpick generate-scenes --part tee --count 1000 --cluster 10.0.0.1:6379": (
         "other machines are needed; tests/binpick_env/jobs/test_ray_map.py joins a cluster of this one"
     ),
+    "binpick bench cluster --seconds 1.1 --spread 0.2 --megabytes 0.35 --items 100000 --start 5 --job 5": (
+        "it takes two quiet cores; tests/policies/benchmarks/clusters measures without Ray"
+    ),
     "rerun bin.rrd": "it opens a window; the recording is read here",
 }
 
