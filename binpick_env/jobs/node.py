@@ -65,7 +65,9 @@ def compute(key: str, required: Mapping[str, str], fetch: Callable[[], Job], ind
                 return _in_own_folder(_loaded.work, index)
             return Outcome(result=_loaded.work(index), files={})
     except (Exception, SystemExit) as error:
-        raise _sendable(error) from error
+        if (sendable := _sendable(error)) is error:
+            raise
+        raise sendable from error
 
 
 def _sendable(error: BaseException) -> BaseException:
