@@ -87,12 +87,12 @@ def test_the_default_is_to_see_with_the_learned_pipeline() -> None:
 
 
 def test_the_docstring_describes_every_argument_and_feature() -> None:
-    text = GraspSelectionEnv.__doc__ or ""
+    text = inspect.cleandoc(GraspSelectionEnv.__doc__ or "")  # Python 3.13 takes the indentation off itself
     arguments = text[text.index("## Arguments") :]
     assert all(f"`{name}`" in arguments for name in inspect.signature(GraspSelectionEnv).parameters)
     table = text[text.index("| index |") : text.index("## Reward")]
     listed = [
-        name for cells in re.findall(r"^    \| \d[\d to,]* \| (.*?) \|", table, re.M) for name in cells.split(", ")
+        name for cells in re.findall(r"^\| \d[\d to,]* \| (.*?) \|", table, re.M) for name in cells.split(", ")
     ]
     assert [name.strip("`") for name in listed] == list(FEATURES)
 
