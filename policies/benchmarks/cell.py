@@ -43,8 +43,9 @@ def bench_cell(options: CellOptions, count: int, seed: int, repeats: int, picks:
         yield from _rows(options, count, seed, repeats, picks)
 
 
-def _rows(options: CellOptions, count: int, seed: int, repeats: int, picks: int) -> Iterator[Measurement]:
-    env = BinPickEnv(
+def oracle_env(options: CellOptions, count: int) -> BinPickEnv:
+    """Return an environment with ``count`` parts and true poses, which computes on one thread."""
+    return BinPickEnv(
         options.load_part(),
         num_parts=count,
         perception="oracle",
@@ -52,6 +53,10 @@ def _rows(options: CellOptions, count: int, seed: int, repeats: int, picks: int)
         config=options.cell(),
         threads=1,
     )
+
+
+def _rows(options: CellOptions, count: int, seed: int, repeats: int, picks: int) -> Iterator[Measurement]:
+    env = oracle_env(options, count)
     try:
         yield repeat("drop and settle", "s", lambda k: _settle_seconds(env, count, seed + k), repeats)
         env.reset(seed=seed)

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from binpick_env.env import BinPickEnv
 from binpick_env.options import CellOptions
 from perception.frame import Frame, Workspace
 from perception.pipeline import Pipeline
 from perception.runtime.threads import one_core
 from policies.benchmarks.builds.worker import peak_memory
+from policies.benchmarks.cell import oracle_env
 from policies.benchmarks.measurement import Measurement
 
 
@@ -99,14 +99,7 @@ def _measure(options: CellOptions, count: int, seed: int, repeats: int) -> _Fram
 
 
 def _save_frames(path: Path, options: CellOptions, count: int, seed: int, repeats: int) -> None:
-    env = BinPickEnv(
-        options.load_part(),
-        num_parts=count,
-        perception="oracle",
-        sensor=options.sensor,
-        config=options.cell(),
-        threads=1,
-    )
+    env = oracle_env(options, count)
     arrays: dict[str, Any] = {"T_world_bin": env.workspace.T_world_bin, "inner_size": env.workspace.inner_size}
     for k in range(repeats):
         env.reset(seed=seed + k)

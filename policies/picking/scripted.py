@@ -111,7 +111,7 @@ class ScriptedPicker:
 
         A push takes the place of a second abstention in a row, if the settings allow pushes.
         """
-        self._come_home()
+        homing = self._come_home()
         seen, self._seen = self._seen, self._env.episode.frame
         if seen is None:  # a first decision compiles kernels, which is no part of a decision's time
             self._decide()
@@ -130,7 +130,12 @@ class ScriptedPicker:
         else:
             result = self.execute(plan)
         self._extra.decided()
-        return replace(result, t_compute=compute + result.t_compute, t_concurrent=min(T_SENSE + compute, waited))
+        return replace(
+            result,
+            t_motion=homing + result.t_motion,
+            t_compute=compute + result.t_compute,
+            t_concurrent=min(T_SENSE + compute, waited),
+        )
 
     # --- decision --------------------------------------------------------------------------------------------------
 
@@ -372,11 +377,13 @@ class ScriptedPicker:
         self.failed.add(way.place_world, plan.grasp.T_world_grasp, radius=self._env.part.model.d_max)
         return planning
 
-    def _come_home(self) -> None:
-        """Go home if a protective stop has kept the arm from it, so that a frame is taken there."""
+    def _come_home(self) -> float:
+        """Go home if a protective stop has kept the arm from it, for a frame taken there; return the time of it [s]."""
+        began = self._env.simulation.time
         if self._env.episode.away:
             self._env.expect_frame()
             self._go_home(self._execution(self._env, self.settings.execution))
+        return self._env.simulation.time - began
 
     def _go_home(self, execution: Execution) -> float:
         """Lift out of the bin and go home with the jaw open; return the wall clock spent on planning [s]."""

@@ -110,9 +110,7 @@ def test_the_action_space_is_the_arms() -> None:
 
 def test_the_docstring_describes_every_argument_and_observation(shared_env: BinPickEnv) -> None:
     text = inspect.cleandoc(BinPickEnv.__doc__ or "")  # from Python 3.13 on the compiler takes the indentation off
-    assert set(re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE)) >= set(
-        inspect.signature(BinPickEnv).parameters
-    )
+    assert set(re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE)) >= set(inspect.signature(BinPickEnv).parameters)
     assert all(f"`{key}`" in text for key in shared_env._boxes)
 
 

@@ -94,10 +94,12 @@ def test_an_arm_that_is_stopped_on_its_way_home_goes_there_before_the_next_decis
     first = picker.pick()
     # Taken ahead, and not again where the arm stands now.
     assert (env.frame_id, cell.at_home) == (first.frame_id + 1, False)
+    began = env.simulation.time
     second = picker.pick()
     assert second.frame_id == first.frame_id + 2
     assert second.outcome is GraspOutcome.DELIVERED
     assert cell.at_home
+    assert second.t_motion == pytest.approx(env.simulation.time - began)  # the way home counts
 
 
 def test_no_frame_is_taken_during_the_carry_where_an_image_has_to_tell_a_double(

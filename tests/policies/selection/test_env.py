@@ -91,9 +91,7 @@ def test_the_docstring_describes_every_argument_and_feature() -> None:
     arguments = text[text.index("## Arguments") :]
     assert all(f"`{name}`" in arguments for name in inspect.signature(GraspSelectionEnv).parameters)
     table = text[text.index("| index |") : text.index("## Reward")]
-    listed = [
-        name for cells in re.findall(r"^\| \d[\d to,]* \| (.*?) \|", table, re.M) for name in cells.split(", ")
-    ]
+    listed = [name for cells in re.findall(r"^\| \d[\d to,]* \| (.*?) \|", table, re.M) for name in cells.split(", ")]
     assert [name.strip("`") for name in listed] == list(FEATURES)
 
 
