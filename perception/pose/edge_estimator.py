@@ -19,7 +19,7 @@ from perception.pose.model.appearances import edge_appearances
 from perception.pose.model.edge_models import edge_model
 from perception.pose.model.pair_features import build_table
 from perception.pose.model.thinning import thin_points
-from perception.pose.verification._verification_kernels import explained_points
+from perception.pose.verification._matching_kernels import explained_points
 from perception.pose.verification.boundary_index import BoundaryIndex, index_boundary
 from perception.pose.verification.refinement import refine_edges, view_direction
 from perception.runtime.threads import in_threads
@@ -132,8 +132,9 @@ class EdgePoseEstimator:
         raw = vote(self._table, points, tangents, config=search.votes)
         chosen, _ = cluster_poses(raw.T_cam_part, raw.votes, self.part, search.clusters)
         poses: list[EdgePose] = []
-        for T_cam_part in raw.T_cam_part[chosen[: search.most_hypotheses]]:
-            coarse = refine_edges(T_cam_part, self._coarse, index, search.quick_edges)
+        for T_cam_part in raw.T_cam_part[chosen[: search.rough_hypotheses]]:
+            rough = refine_edges(T_cam_part, self._coarse, index, search.rough_edges)
+            coarse = refine_edges(rough.T_cam_part, self._coarse, index, search.quick_edges)
             poses.append(self._judged(coarse.T_cam_part, points, tangents, index, instance_idx))
         poses.sort(key=lambda pose: -pose.score)
         for coarse_pose in poses[: self.config.finalists]:

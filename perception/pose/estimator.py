@@ -170,7 +170,7 @@ class PoseEstimator:
             group = self._thinned_group(boundary.only(instances[k].point_idx), index, frame, noise)
             scorer = HypothesisScorer(self._models, group, config)
             found = GroupSearch(scorer, self.config, penalty, k)
-            found.add(self._hypotheses(group, self.config.most_hypotheses))
+            found.add(self._hypotheses(group, self.config.rough_hypotheses))
             found.best()  # does the work here, on a thread of its own; the selection asks again
             return found
 

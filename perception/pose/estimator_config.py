@@ -31,8 +31,9 @@ class EstimatorConfig:
         clusters: Largest difference of poses that count as one.
         quick_step: Step through the edge points of a view in the coarse refinement; 1 uses all of them.
         quick_spacing: Spacing of the surface samples in the coarse refinement, as a share of d_max.
-        quick_edges: Coarse refinement of every hypothesis on boundary points.
-        quick_surface: Coarse refinement of every hypothesis on the depth image.
+        rough_edges: First refinement of every hypothesis, on boundary points.
+        quick_edges: Coarse refinement of the most promising hypotheses on boundary points.
+        quick_surface: Coarse refinement of the same on the depth image.
         edge_refinement: Full refinement of the finalists on boundary points.
         joint_refinement: Last refinement of the finalists, on edges in the image and on the depth at once.
         verification: Tolerances, and coefficients of the logit that hypotheses are ranked by.
@@ -40,10 +41,12 @@ class EstimatorConfig:
         bodies: Tolerances for collisions of parts with each other and with the bin.
         near_symmetry: Near-symmetric poses that are tried beside the best hypothesis.
         leftovers: When the points that poses leave over are searched for another part.
-        hypotheses: Number of hypotheses that are tried for each group, those with most votes first.
-        most_hypotheses: Number of hypotheses that are tried while none of them is good enough.
+        rough_hypotheses: Number of hypotheses of each group that are refined roughly, those with most votes.
+        hypotheses: Number of these that are refined coarsely, those that agree best with the boundary points first.
+        most_hypotheses: The same number while none of them is good enough.
         sure: Logistic function of the logit with which a hypothesis is good enough, in [0, 1].
         finalists: Number of hypotheses that are refined fully, those with the highest logit first.
+        contending: Distance of the logit from the best one's within which they are.
         scene_hypotheses: Number of hypotheses that are tried in a whole scene.
         min_score: Least score of a verified pose, in [0, 1].
     """
@@ -54,7 +57,8 @@ class EstimatorConfig:
     clusters: ClusterConfig = field(default_factory=ClusterConfig)
     quick_step: int = 2
     quick_spacing: float = 0.06
-    quick_edges: EdgeRefinement = field(default_factory=lambda: EdgeRefinement(gates=(0.05, 0.03), iterations=4))
+    rough_edges: EdgeRefinement = field(default_factory=lambda: EdgeRefinement(gates=(0.05,), iterations=4))
+    quick_edges: EdgeRefinement = field(default_factory=lambda: EdgeRefinement(gates=(0.03,), iterations=4))
     quick_surface: SurfaceRefinement = field(default_factory=SurfaceRefinement)
     edge_refinement: EdgeRefinement = field(default_factory=EdgeRefinement)
     joint_refinement: JointRefinement = field(default_factory=JointRefinement)
@@ -63,19 +67,24 @@ class EstimatorConfig:
     bodies: BodyConfig = field(default_factory=BodyConfig)
     near_symmetry: NearSymmetryConfig = field(default_factory=NearSymmetryConfig)
     leftovers: LeftoverConfig = field(default_factory=LeftoverConfig)
-    hypotheses: int = 4
-    most_hypotheses: int = 12
+    rough_hypotheses: int = 14
+    hypotheses: int = 3
+    most_hypotheses: int = 5
     sure: float = 0.9
     finalists: int = 2
+    contending: float = 2.0
     scene_hypotheses: int = 100
     min_score: float = 0.9
 
     def __post_init__(self) -> None:
-        for name in ("quick_step", "hypotheses", "most_hypotheses", "finalists", "scene_hypotheses"):
+        counts = ("rough_hypotheses", "hypotheses", "most_hypotheses", "finalists", "scene_hypotheses")
+        for name in ("quick_step", *counts):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.most_hypotheses < self.hypotheses:
             raise ValueError(f"most_hypotheses must be at least {self.hypotheses}, got {self.most_hypotheses}")
+        if not self.contending >= 0:
+            raise ValueError(f"contending must be at least 0, got {self.contending}")
         for name in ("min_score", "sure"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be in [0, 1], got {getattr(self, name)}")
@@ -95,6 +104,7 @@ class EstimatorConfig:
         tolerated = TOLERATED / TOLERANCE * noise
         return replace(
             self,
+            rough_edges=replace(self.rough_edges, finest=max(self.rough_edges.finest, finest)),
             quick_edges=replace(self.quick_edges, finest=max(self.quick_edges.finest, finest)),
             quick_surface=replace(self.quick_surface, finest=max(self.quick_surface.finest, finest)),
             edge_refinement=replace(self.edge_refinement, finest=max(self.edge_refinement.finest, finest)),

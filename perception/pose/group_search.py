@@ -41,18 +41,22 @@ class GroupSearch:
         self._estimate: PoseEstimate | None = None  # of the best hypothesis among the present ones
 
     def add(self, poses: Floats) -> None:
-        """Refine (C, 4, 4) poses coarsely in turn until one is good enough, and keep those that are possible."""
+        """Refine (C, 4, 4) poses roughly, then the most promising ones coarsely, and keep those that are possible."""
         config, self._estimate = self._config, None
-        for T_cam_part in poses:
-            enough = len(self._hypotheses) >= config.hypotheses
-            if enough and any(found.verdict.score >= config.sure and not found.penalty for found in self._hypotheses):
+        rough = [self._scorer.refine_roughly(T_cam_part) for T_cam_part in poses]
+        for promising in sorted(rough, key=lambda each: -each.promise):
+            if len(self._hypotheses) >= (config.hypotheses if self._is_sure() else config.most_hypotheses):
                 break
-            found = self._scorer.refine_coarsely(T_cam_part)
+            found = self._scorer.refine_coarsely(promising.T_cam_part)
             penalised = self._penalised(found)
             if penalised is not None:
                 self._hypotheses.append(penalised)
             elif self._best_impossible is None or found.logit > self._best_impossible.logit:
                 self._best_impossible = found
+
+    def _is_sure(self) -> bool:
+        """Return whether one of the hypotheses is good enough."""
+        return any(found.verdict.score >= self._config.sure and not found.penalty for found in self._hypotheses)
 
     @property
     def missed(self) -> ScoredHypothesis | None:
@@ -101,7 +105,7 @@ class GroupSearch:
         """Refine the first ``finalists`` hypotheses fully, and sort all by their logit, best first."""
         self._sort()
         for k, coarse in enumerate(self._hypotheses[: self._config.finalists]):
-            if not coarse.final:
+            if not coarse.final and coarse.logit > self._hypotheses[0].logit - self._config.contending:
                 fine = self._allowed(self._scorer.refine_fully(coarse.T_cam_part))
                 if fine is None or fine.logit < coarse.logit:
                     fine = replace(coarse, final=True)

@@ -19,7 +19,9 @@ from perception.pose.verification.mismatch import Mismatch, find_mismatch
 from perception.pose.verification.perturbation import score_drop
 from perception.pose.verification.refinement import refine_edges, refine_surface
 from perception.pose.verification.same_surface import SameSurface
-from perception.pose.verification.verification import ObservedGroup, Verdict, verify
+from perception.pose.verification.verification import ObservedGroup, Verdict, edge_scores, verify
+
+_EDGE_PROMISE = 3.0  # coefficient of the edge score while the depth is not yet known to agree or not
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,6 +48,19 @@ class ScoringModels:
     perturbations: Floats
     near_symmetries: Floats
     same_surface: SameSurface
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RoughHypothesis:
+    """A pose hypothesis refined on boundary points alone, with a wide gate.
+
+    Attributes:
+        T_cam_part: (4, 4) pose of the part in the camera frame.
+        promise: Agreement with the boundary points, by which the hypotheses of a group are sorted.
+    """
+
+    T_cam_part: Floats
+    promise: float
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -86,11 +101,19 @@ class HypothesisScorer:
         self._config = config
         self._judged: dict[ScoredHypothesis, tuple[Mismatch, ExpectedError]] = {}  # the best one is asked for again
 
-    def refine_coarsely(self, T_cam_part: Floats) -> ScoredHypothesis:
-        """Refine a (4, 4) pose in few steps with few model points, and score the result with all of them."""
+    def refine_roughly(self, T_cam_part: Floats) -> RoughHypothesis:
+        """Refine a (4, 4) pose on boundary points in few steps, and tell how well it agrees with them."""
         models, config = self._models, self._config
-        edges_fitted = refine_edges(T_cam_part, models.coarse_edges, self._group.boundary, config.quick_edges)
-        fitted = refine_surface(edges_fitted.T_cam_part, models.coarse_surface, self._group.frame, config.quick_surface)
+        T_cam_part = self._on_edges(T_cam_part)
+        edge_score, explained = edge_scores(T_cam_part, models.coarse_edges, self._group, config.verification)
+        promise = _EDGE_PROMISE * edge_score + config.verification.explained_weight * explained
+        return RoughHypothesis(T_cam_part=T_cam_part, promise=promise)
+
+    def refine_coarsely(self, rough: Floats) -> ScoredHypothesis:
+        """Refine a roughly refined (4, 4) pose further, on the depth as well, and score it with all model points."""
+        models, config = self._models, self._config
+        on_edges = refine_edges(rough, models.coarse_edges, self._group.boundary, config.quick_edges)
+        fitted = refine_surface(on_edges.T_cam_part, models.coarse_surface, self._group.frame, config.quick_surface)
         return self._scored(fitted.T_cam_part, final=False)
 
     def refine_fully(self, T_cam_part: Floats) -> ScoredHypothesis:
@@ -111,7 +134,7 @@ class HypothesisScorer:
         for motion in self._models.near_symmetries:
             T_cam_part = hypothesis.T_cam_part @ motion
             if self._verdict(T_cam_part).logit >= least:
-                found.append(self.refine_coarsely(T_cam_part))
+                found.append(self.refine_coarsely(self._on_edges(T_cam_part)))
         return found
 
     def score_drop(self, hypothesis: ScoredHypothesis) -> float:
@@ -176,6 +199,10 @@ class HypothesisScorer:
                 ),
             )
         return self._judged[hypothesis]
+
+    def _on_edges(self, T_cam_part: Floats) -> Floats:
+        models, config = self._models, self._config
+        return refine_edges(T_cam_part, models.coarse_edges, self._group.boundary, config.rough_edges).T_cam_part
 
     def _scored(self, T_cam_part: Floats, *, final: bool) -> ScoredHypothesis:
         return ScoredHypothesis(T_cam_part=T_cam_part, verdict=self._verdict(T_cam_part), final=final)

@@ -1,10 +1,11 @@
-"""Compiled kernel of collisions: arrays in, arrays out, no threads and no fast maths."""
+"""Compiled kernels of collisions: arrays in, arrays out, no threads and no fast maths."""
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from perception.geometry import Floats
+from perception.pose._transform_kernels import apply
 
 
 @njit(cache=True, nogil=True)
@@ -40,3 +41,49 @@ def samples_within(
         if (1 - w) * low + w * high > depth:
             found += 1
     return found
+
+
+@njit(cache=True, nogil=True)
+def _relative(T_cam_a: Floats, T_cam_b: Floats) -> Floats:
+    """Return the (4, 4) transform ``T_a_b``."""
+    out = np.zeros((4, 4))
+    out[3, 3] = 1.0
+    for i in range(3):
+        for k in range(3):
+            out[i, 3] += T_cam_a[k, i] * (T_cam_b[k, 3] - T_cam_a[k, 3])
+            for j in range(3):
+                out[i, j] += T_cam_a[k, i] * T_cam_b[k, j]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def samples_shared(
+    T_cam_a: Floats,
+    T_cam_b: Floats,
+    middle: Floats,
+    radius: float,
+    samples: Floats,
+    inside: NDArray[np.float32],
+    origin: Floats,
+    cell: float,
+    depth: float,
+) -> int:
+    """Return the number of samples of two copies of a part that lie more than ``depth`` below the other's surface.
+
+    Args:
+        T_cam_a: (4, 4) pose of the one copy in the camera frame.
+        T_cam_b: (4, 4) pose of the other one.
+        middle: (3,) centre of a ball that encloses the part, part frame [m].
+        radius: Radius of this ball [m].
+        samples: (M, 3) points on the part's surface, part frame [m].
+        inside: (X, Y, Z) depth below the surface, see :func:`samples_within`.
+        origin: (3,) first point of the grid, part frame [m].
+        cell: Distance between neighbouring points of the grid [m].
+        depth: Least depth of a sample that counts [m].
+    """
+    ax, ay, az = apply(T_cam_a, middle[0], middle[1], middle[2])
+    bx, by, bz = apply(T_cam_b, middle[0], middle[1], middle[2])
+    if (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2 >= (2 * radius) ** 2:  # most pairs of a bin are far apart
+        return 0
+    found = samples_within(_relative(T_cam_b, T_cam_a), samples, inside, origin, cell, depth)
+    return found + samples_within(_relative(T_cam_a, T_cam_b), samples, inside, origin, cell, depth)

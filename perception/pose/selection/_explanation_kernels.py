@@ -27,7 +27,7 @@ def surface_distances(
     The distance is the minimum of ``sqrt(off^2 + (sideways * aside)^2)`` over the visible samples. ``off`` is the
     distance from the sample's tangent plane, ``aside`` the distance along it, and ``sideways`` is in (0, 1]. T is
     ``T_cam_part``. The boundary points are sorted by cell, as described at
-    :func:`perception.pose.verification._refine_kernels.match_edges`.
+    :func:`perception.pose.verification._matching_kernels.match_edges`.
     """
     rows, columns = shape
     out = np.full(len(boundary), np.inf)

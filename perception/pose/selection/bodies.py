@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from perception.frame import Workspace
-from perception.geometry import Floats, invert_transform, require_shape, transform_points
+from perception.geometry import Floats, require_shape, transform_points
 from perception.part import PartModel
 from perception.pose.model.surface_models import SurfaceModel
-from perception.pose.selection._body_kernels import samples_within
+from perception.pose.selection._body_kernels import samples_shared
 from perception.runtime.cache import Arrays, cached_arrays, digest
 
 _VERSION = 2  # of the stored arrays; raise it when the same part gives another grid
@@ -73,12 +73,8 @@ class BodyModel:
             T_cam_b: (4, 4) pose of the other one.
             depth: Depth below a surface from which a point lies inside [m].
         """
-        away = (T_cam_a[:3, :3] - T_cam_b[:3, :3]) @ self.middle + T_cam_a[:3, 3] - T_cam_b[:3, 3]
-        if away @ away >= (2 * self.radius) ** 2:  # most pairs of a bin are far apart
-            return 0.0
-        T_a_b = invert_transform(T_cam_a) @ T_cam_b
-        found = samples_within(T_a_b, self.samples, self.inside, self.origin, self.cell, depth)
-        found += samples_within(invert_transform(T_a_b), self.samples, self.inside, self.origin, self.cell, depth)
+        grid = (self.inside, self.origin, self.cell, depth)
+        found = samples_shared(T_cam_a, T_cam_b, self.middle, self.radius, self.samples, *grid)
         return found / (2 * len(self.samples))
 
     def protrusion(self, T_world_part: Floats, workspace: Workspace) -> float:

@@ -11,10 +11,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from perception.geometry import Floats
-from perception.pose._transform_kernels import Singles, apply
+from perception.pose._transform_kernels import Ints, Singles, apply
+from perception.pose.verification._matching_kernels import rematch_edges
 from perception.pose.verification._refine_kernels import (
     line_equations,
-    match_edges,
     patch_equations,
     plane_equations,
     sight_equations,
@@ -92,10 +92,23 @@ def descend_edges(
     """
     pivot, length = np.zeros(3), np.inf
     steps, settled = 0, False
+    matches = np.full(len(points), -1, np.int64)
     while True:
         # Matches and normal equations in the present pose.
-        matches = match_edges(
-            T, points, tangents, boundary, boundary_tangents, starts, shape, origin, cell, gate, gate, min_cosine
+        rematch_edges(
+            matches,
+            T,
+            points,
+            tangents,
+            boundary,
+            boundary_tangents,
+            starts,
+            shape,
+            origin,
+            cell,
+            gate,
+            gate,
+            min_cosine,
         )
         pivot[0], pivot[1], pivot[2] = apply(T, centre[0], centre[1], centre[2])
         hessian, gradient, total, count = line_equations(
@@ -153,6 +166,7 @@ def descend_surface(
 
 @njit(cache=True, nogil=True)
 def joint_equations(
+    matches: Ints,
     T: Floats,
     edge_points: Floats,
     edge_tangents: Floats,
@@ -178,11 +192,14 @@ def joint_equations(
 ) -> tuple[Floats, Floats, float, float, int]:
     """Match edges and surface in a pose.
 
+    ``matches`` holds the index of each edge point's match in a pose near this one, or -1; it is changed in place.
+
     Returns:
         The normal equations (6, 6), (6,) of the weighted distances of edges in the image and those of patches of the
         depth; the sum of their squares without weights [m^2], the sum of the weights, and the number of matches.
     """
-    matches = match_edges(
+    rematch_edges(
+        matches,
         T,
         edge_points,
         edge_tangents,
@@ -230,9 +247,10 @@ def descend_jointly(
     centre, d_max = seen[-2], seen[-1]
     pivot, length = np.zeros(3), np.inf
     steps, settled = 0, False
+    matches = np.full(len(seen[0]), -1, np.int64)
     while True:
         # Matches and normal equations in the present pose.
-        hessian, gradient, total, weights, count = joint_equations(T, *seen)
+        hessian, gradient, total, weights, count = joint_equations(matches, T, *seen)
         if settled or steps == iterations or count < MIN_MATCHES:
             break
         # One step; its length is that of the motion as a share of d_max.

@@ -16,74 +16,6 @@ END_ON = 0.3  # sine of the angle between the line of sight and an edge up to wh
 
 
 @njit(cache=True, nogil=True)
-def gated_square(
-    dx: float, dy: float, dz: float, x: float, y: float, z: float, gate: float, depth_gate: float
-) -> float:
-    """Return the squared length of an offset whose part along the line of sight to (x, y, z) is reduced."""
-    square = dx**2 + dy**2 + dz**2
-    if depth_gate > gate:
-        along = dx * x + dy * y + dz * z
-        square -= along * along / (x * x + y * y + z * z) * (1.0 - (gate / depth_gate) ** 2)
-    return square
-
-
-@njit(cache=True, nogil=True)
-def match_edges(
-    T: Floats,
-    points: Floats,
-    tangents: Floats,
-    boundary: Floats,
-    boundary_tangents: Floats,
-    starts: NDArray[np.int64],
-    shape: tuple[int, int],
-    origin: Floats,
-    cell: float,
-    gate: float,
-    depth_gate: float,
-    min_cosine: float,
-) -> Ints:
-    """Return (M,) index of the nearest boundary point of like tangent within ``gate`` [m] of each model point, or -1.
-
-    Along the line of sight it may be off by ``depth_gate`` [m], at least ``gate``: distances along it count in the
-    ratio of the two.
-
-    The boundary points are sorted by square cells of ``(x / z, y / z)``. Those of cell (r, c) begin at
-    ``starts[r * columns + c]`` and end where the next cell begins. Of equally near points the first one is the match.
-    """
-    rows, columns = shape
-    out = np.full(len(points), -1, np.int64)
-    for m in range(len(points)):
-        # The model point and its tangent in the camera frame.
-        x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
-        a, b, c = rotate(T, tangents[m, 0], tangents[m, 1], tangents[m, 2])
-        if z <= NEAR + depth_gate:
-            continue
-        # The rectangle of cells that the camera sees an ellipsoid with these semi-axes in.
-        u, v = x / z, y / z
-        half_u, half_v = gate * (1.0 + abs(u)) / (z - depth_gate), gate * (1.0 + abs(v)) / (z - depth_gate)
-        left = max(np.floor((u - half_u - origin[0]) / cell), 0.0)
-        right = min(np.floor((u + half_u - origin[0]) / cell), columns - 1.0)
-        top = max(np.floor((v - half_v - origin[1]) / cell), 0.0)
-        bottom = min(np.floor((v + half_v - origin[1]) / cell), rows - 1.0)
-        if left > right or top > bottom:
-            continue
-        # The nearest point of like tangent in these cells; those of one row lie one after the other.
-        nearest = gate * gate
-        for row in range(int(top), int(bottom) + 1):
-            for k in range(starts[row * columns + int(left)], starts[row * columns + int(right) + 1]):
-                square = gated_square(
-                    boundary[k, 0] - x, boundary[k, 1] - y, boundary[k, 2] - z, x, y, z, gate, depth_gate
-                )
-                if square > nearest or (square == nearest and out[m] >= 0):
-                    continue
-                along = a * boundary_tangents[k, 0] + b * boundary_tangents[k, 1] + c * boundary_tangents[k, 2]
-                if abs(along) >= min_cosine:
-                    nearest = square
-                    out[m] = k
-    return out
-
-
-@njit(cache=True, nogil=True)
 def _lever(row: Floats, x: float, y: float, z: float, a: float, b: float, c: float, centre: Floats, arm: float) -> None:
     """Write the row ``[(p - centre) / arm x n, n]`` of the Jacobian of a distance along the normal n = (a, b, c)."""
     rx, ry, rz = (x - centre[0]) / arm, (y - centre[1]) / arm, (z - centre[2]) / arm
@@ -93,11 +25,20 @@ def _lever(row: Floats, x: float, y: float, z: float, a: float, b: float, c: flo
 
 @njit(cache=True, nogil=True)
 def _add(hessian: Floats, gradient: Floats, row: Floats, residual: float, weight: float) -> None:
-    """Add one weighted residual to the normal equations."""
+    """Add one weighted residual to the normal equations; of the Hessian only the lower triangle."""
     for i in range(6):
         gradient[i] += weight * row[i] * residual
-        for j in range(6):
+        for j in range(i + 1):
             hessian[i, j] += weight * row[i] * row[j]
+
+
+@njit(cache=True, nogil=True)
+def whole(hessian: Floats) -> Floats:
+    """Return a symmetric (6, 6) matrix, changed in place, whose lower triangle is given."""
+    for i in range(6):
+        for j in range(i):
+            hessian[j, i] = hessian[i, j]
+    return hessian
 
 
 @njit(cache=True, nogil=True)
@@ -140,10 +81,10 @@ def line_equations(
         for i in range(6):
             for r in range(3):
                 gradient[i] += jacobian[r, i] * residual[r]
-                for j in range(6):
+                for j in range(i + 1):
                     hessian[i, j] += jacobian[r, i] * jacobian[r, j]
         count += 1
-    return hessian, gradient, total, count
+    return whole(hessian), gradient, total, count
 
 
 @njit(cache=True, nogil=True)
@@ -186,7 +127,7 @@ def sight_equations(
         _add(hessian, gradient, row, residual, weight)
         total += residual * residual
         count += 1
-    return hessian, gradient, total, count
+    return whole(hessian), gradient, total, count
 
 
 @njit(cache=True, nogil=True)
@@ -304,7 +245,7 @@ def plane_equations(
         _add(hessian, gradient, row, residual, weight)
         total += residual * residual
         count += 1
-    return hessian, gradient, total, count
+    return whole(hessian), gradient, total, count
 
 
 @njit(cache=True, nogil=True)
@@ -327,6 +268,7 @@ def patch_equations(
     """
     height, width = depth.shape
     hessian, gradient, row = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    across, down = np.zeros(2 * radius + 1), np.zeros(2 * radius + 1)
     total, count, window = 0.0, 0, (2 * radius + 1) ** 2
     for m in range(len(points)):
         if not visible[m]:
@@ -339,13 +281,18 @@ def patch_equations(
             continue
         a, b, c = rotate(T, normals[m, 0], normals[m, 1], normals[m, 2])
         along = a * x + b * y + c * z
+        # The normal times the direction of each pixel's line of sight, column by column and row by row.
+        left, top = int(uf) - radius, int(vf) - radius
+        for k in range(2 * radius + 1):
+            across[k] = a * (left + k - K[0, 2]) / K[0, 0]
+            down[k] = b * (top + k - K[1, 2]) / K[1, 1]
         weights, mean, near = 0.0, 0.0, 0
-        for v in range(int(vf) - radius, int(vf) + radius + 1):
-            for u in range(int(uf) - radius, int(uf) + radius + 1):
-                zq = float(depth[v, u])
+        for i in range(2 * radius + 1):
+            for j in range(2 * radius + 1):
+                zq = float(depth[top + i, left + j])
                 if zq <= 0.0:
                     continue
-                residual = along - zq * (a * (u - K[0, 2]) / K[0, 0] + b * (v - K[1, 2]) / K[1, 1] + c)
+                residual = along - zq * (across[j] + down[i] + c)
                 if abs(residual) < gate:
                     weight = (1.0 - (residual / gate) ** 2) ** 2
                     weights += weight
@@ -358,4 +305,4 @@ def patch_equations(
         _add(hessian, gradient, row, mean, weights / window)
         total += mean * mean
         count += 1
-    return hessian, gradient, total, count
+    return whole(hessian), gradient, total, count

@@ -8,23 +8,24 @@ from numba import njit
 from numpy.typing import NDArray
 
 from perception.geometry import NEAR, Floats
-from perception.pose._transform_kernels import Ints, Singles, apply, rotate
-from perception.pose.verification._refine_kernels import gated_square, match_edges, surface_gaps
+from perception.pose._transform_kernels import Ints, Singles, apply
+from perception.pose.verification._matching_kernels import explained_points, matched_points
+from perception.pose.verification._refine_kernels import surface_gaps
 
 
 @njit(cache=True, nogil=True)
 def occluded_points(
-    T: Floats, points: Floats, matches: Ints, depth: Singles, K: Floats, tolerance: float, radius: int
+    T: Floats, points: Floats, matched: NDArray[np.bool_], depth: Singles, K: Floats, tolerance: float, radius: int
 ) -> NDArray[np.bool_]:
     """Return (M,) whether an unmatched model point is occluded, or could be because nothing was measured there.
 
     A point is occluded if it lies more than ``tolerance`` [m] behind everything that was measured in a window of
-    ``radius`` pixels. Matched points (``matches`` of 0 or more) are never occluded.
+    ``radius`` pixels. Points that are ``matched`` (M,) are never occluded.
     """
     height, width = depth.shape
     out = np.zeros(len(points), np.bool_)
     for m in range(len(points)):
-        if matches[m] >= 0:
+        if matched[m]:
             continue
         # Nothing is known of a point that is not before the camera or not in the image.
         x, y, z = apply(T, points[m, 0], points[m, 1], points[m, 2])
@@ -40,39 +41,6 @@ def occluded_points(
             for column in range(max(int(u) - radius, 0), min(int(u) + radius, width - 1) + 1):
                 farthest = max(farthest, float(depth[row, column]))
         out[m] = farthest < z - tolerance
-    return out
-
-
-@njit(cache=True, nogil=True)
-def explained_points(
-    T: Floats,
-    points: Floats,
-    tangents: Floats,
-    boundary: Floats,
-    boundary_tangents: Floats,
-    gate: float,
-    depth_gate: float,
-    min_cosine: float,
-) -> NDArray[np.bool_]:
-    """Return (N,) whether each boundary point has a posed model point of like tangent within ``gate`` [m].
-
-    Along the line of sight it may be off by ``depth_gate`` [m], at least ``gate``.
-    """
-    # Model points and tangents in the camera frame.
-    posed = np.empty((len(points), 6))
-    for m in range(len(points)):
-        posed[m, 0], posed[m, 1], posed[m, 2] = apply(T, points[m, 0], points[m, 1], points[m, 2])
-        posed[m, 3], posed[m, 4], posed[m, 5] = rotate(T, tangents[m, 0], tangents[m, 1], tangents[m, 2])
-    # The first near point of like tangent is enough.
-    out = np.zeros(len(boundary), np.bool_)
-    for n in range(len(boundary)):
-        x, y, z = boundary[n, 0], boundary[n, 1], boundary[n, 2]
-        a, b, c = boundary_tangents[n, 0], boundary_tangents[n, 1], boundary_tangents[n, 2]
-        for m in range(len(posed)):
-            square = gated_square(posed[m, 0] - x, posed[m, 1] - y, posed[m, 2] - z, x, y, z, gate, depth_gate)
-            if square <= gate * gate and abs(posed[m, 3] * a + posed[m, 4] * b + posed[m, 5] * c) >= min_cosine:
-                out[n] = True
-                break
     return out
 
 
@@ -99,15 +67,14 @@ def edge_counts(
 ) -> tuple[int, int, int]:
     """Return the numbers of matched and of occluded model points, and that of the group's explained points.
 
-    The arguments are those of :func:`match_edges`, :func:`occluded_points` and :func:`explained_points`.
+    The arguments are those of :func:`matched_points`, :func:`occluded_points` and :func:`explained_points`.
     """
-    matches = match_edges(
+    matched = matched_points(
         T, points, tangents, boundary, boundary_tangents, starts, shape, origin, cell, gate, depth_gate, min_cosine
     )
-    occluded = occluded_points(T, points, matches, depth, K, tolerance, radius)
+    occluded = occluded_points(T, points, matched, depth, K, tolerance, radius)
     explained = explained_points(T, points, tangents, group, group_tangents, gate, depth_gate, min_cosine)
-    matched, hidden, near = np.count_nonzero(matches >= 0), np.count_nonzero(occluded), np.count_nonzero(explained)
-    return int(matched), int(hidden), int(near)
+    return int(np.count_nonzero(matched)), int(np.count_nonzero(occluded)), int(np.count_nonzero(explained))
 
 
 @njit(cache=True, nogil=True)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.geometry import Floats, require_shape
-from perception.pose.verification import _refine_kernels
+from perception.pose.verification import _matching_kernels
 
 MOST_CELLS = 1 << 20  # a stray point far aside makes the cells larger instead of adding more
 
@@ -61,7 +61,7 @@ class BoundaryIndex:
             max_angle: Largest angle between the tangents of a match as lines [rad].
             depth_gate: Largest distance along the line of sight, if it is more than ``gate`` [m].
         """
-        return _refine_kernels.match_edges(
+        return _matching_kernels.match_edges(
             T_cam_part,
             points,
             tangents,

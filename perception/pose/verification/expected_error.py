@@ -61,7 +61,8 @@ def expected_error(
     T = require_pose(T_cam_part)
     require_depth(group.frame)
     view = joint_view(T, edges, surface, group, config, config.edge_gates[-1])
-    hessian = _descent_kernels.joint_equations(T, *view.arguments)[0]
+    unmatched = np.full(len(view.arguments[0]), -1, np.int64)
+    hessian = _descent_kernels.joint_equations(unmatched, T, *view.arguments)[0]
     arm = surface.d_max / 2
     information = hessian / (CORRELATED * view.depth_noise) ** 2 + np.eye(6) / (UNKNOWN * surface.d_max) ** 2
     motions = _counted_motions(T, symmetry)

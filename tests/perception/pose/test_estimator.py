@@ -333,13 +333,15 @@ def test_as_many_hypotheses_are_refined_as_are_asked_for(monkeypatch: pytest.Mon
         return refine(T, model, boundary, config)
 
     monkeypatch.setattr(hypothesis_scoring, "refine_edges", counted)
-    config = replace(CONFIG, hypotheses=2, most_hypotheses=5, finalists=2, scene_hypotheses=3, sure=1.0)
+    numbers = {"rough_hypotheses": 6, "hypotheses": 2, "most_hypotheses": 5, "finalists": 2, "scene_hypotheses": 3}
+    config = replace(CONFIG, **numbers, contending=np.inf, sure=1.0)
     scene = scene_of(ELL, LEANING, clutter=300)  # votes for many poses
     group = [Instance(point_idx=np.arange(len(scene.boundary)), score=1.0)]
     for sure, looked_at in ((1.0, 5), (0.1, 2)):
         asked.clear()
         quick_estimator(ELL, replace(config, sure=sure)).estimate_groups(scene.boundary, group, scene.frame)
-        assert asked == [config.quick_edges.gates] * looked_at + [config.edge_refinement.gates] * 2
+        coarse = [config.rough_edges.gates] * 6 + [config.quick_edges.gates] * looked_at
+        assert asked == coarse + [config.edge_refinement.gates] * 2
     asked.clear()
     quick_estimator(ELL, config).estimate_scene(scene.boundary, scene.frame)
     assert asked == [config.edge_refinement.gates] * 3
@@ -359,9 +361,12 @@ def test_the_parts_models_are_made_with_the_settings(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"rough_hypotheses": 0}, "rough_hypotheses must be at least 1, got 0"),
+        ({"contending": -1.0}, "contending must be at least 0, got -1.0"),
+        ({"contending": np.nan}, "contending must be at least 0, got nan"),
         ({"hypotheses": 0}, "hypotheses must be at least 1, got 0"),
         ({"most_hypotheses": 0}, "most_hypotheses must be at least 1, got 0"),
-        ({"most_hypotheses": 3}, "most_hypotheses must be at least 4, got 3"),
+        ({"most_hypotheses": 2}, "most_hypotheses must be at least 4, got 2"),
         ({"sure": 90.0}, r"sure must be in \[0, 1\], got 90.0"),
         ({"finalists": -1}, "finalists must be at least 1, got -1"),
         ({"scene_hypotheses": 0}, "scene_hypotheses must be at least 1, got 0"),

@@ -325,7 +325,7 @@ def test_the_coarse_refinement_uses_fewer_points(monkeypatch: pytest.MonkeyPatch
     refine_jointly = hypothesis_scoring.refine_jointly
 
     def edges(T: Floats, model: Any, boundary: Any, config: Any) -> Any:
-        asked.append((len(model.points), 0.0, config.gates == looking.config.quick_edges.gates))
+        asked.append((len(model.points), 0.0, config.gates in coarse))
         return refine_edges(T, model, boundary, config)
 
     def surface(T: Floats, model: Any, frame: Any, config: Any) -> Any:
@@ -339,11 +339,13 @@ def test_the_coarse_refinement_uses_fewer_points(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(hypothesis_scoring, "refine_edges", edges)
     monkeypatch.setattr(hypothesis_scoring, "refine_surface", surface)
     monkeypatch.setattr(hypothesis_scoring, "refine_jointly", jointly)
-    looking = quick_estimator(ELL, replace(CONFIG, quick_step=3, quick_spacing=0.1, hypotheses=1, most_hypotheses=1))
+    numbers = {"rough_hypotheses": 1, "hypotheses": 1, "most_hypotheses": 1}
+    looking = quick_estimator(ELL, replace(CONFIG, quick_step=3, quick_spacing=0.1, **numbers))
+    coarse = looking.config.rough_edges.gates, looking.config.quick_edges.gates
     groups_of(scene_of(ELL, LEANING), looking)
     few, all_of_them = len(looking.appearances.every(3).points), len(looking.appearances.points)
-    assert asked[:2] == [(few, 0.0, True), (0, pytest.approx(0.1 * ELL.d_max), True)]
-    assert asked[2:4] == [(all_of_them, 0.0, False), (all_of_them, pytest.approx(0.03 * ELL.d_max), False)]
+    assert asked[:3] == [(few, 0.0, True), (few, 0.0, True), (0, pytest.approx(0.1 * ELL.d_max), True)]
+    assert asked[3:5] == [(all_of_them, 0.0, False), (all_of_them, pytest.approx(0.03 * ELL.d_max), False)]
 
 
 def test_nonsense_in_the_coarse_refinement_is_refused() -> None:

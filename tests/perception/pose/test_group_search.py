@@ -9,7 +9,7 @@ import pytest
 from perception.geometry import Floats, make_transform
 from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.group_search import GroupSearch
-from perception.pose.hypothesis_scoring import ScoredHypothesis
+from perception.pose.hypothesis_scoring import RoughHypothesis, ScoredHypothesis
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.verification.verification import Verdict
 
@@ -28,8 +28,14 @@ def poses(*places: float) -> Floats:
 class Scorer:
     """Coarse refinement keeps a pose, full refinement moves it by 0.5; ``logits`` are by place, 0 elsewhere."""
 
-    def __init__(self, logits: dict[float, float], near: dict[float, Sequence[float]] | None = None) -> None:
+    def __init__(
+        self,
+        logits: dict[float, float],
+        near: dict[float, Sequence[float]] | None = None,
+        promises: dict[float, float] | None = None,
+    ) -> None:
         self.logits = logits
+        self.promises = promises or {}
         self.near = near or {}
         self.asked: list[tuple[str, float]] = []
         self.estimated = 0
@@ -37,6 +43,9 @@ class Scorer:
     def scored(self, x: float, final: bool) -> ScoredHypothesis:
         (T,) = poses(x)
         return ScoredHypothesis(T_cam_part=T, verdict=replace(NOTHING, logit=self.logits.get(x, 0.0)), final=final)
+
+    def refine_roughly(self, T: Floats) -> RoughHypothesis:
+        return RoughHypothesis(T_cam_part=T, promise=self.promises.get(place(T), 0.0))
 
     def refine_coarsely(self, T: Floats) -> ScoredHypothesis:
         self.asked.append(("coarse", place(T)))
@@ -88,6 +97,20 @@ def test_hypotheses_are_tried_until_one_is_good_enough(logit: float, tried: int)
     scorer = Scorer({2.0: logit})
     searching(scorer, 0.0, 1.0, 2.0, 3.0, 4.0)
     assert scorer.asked == [("coarse", float(x)) for x in range(tried)]
+
+
+def test_the_most_promising_hypotheses_are_tried_first_and_the_others_not_at_all() -> None:
+    scorer = Scorer({}, promises={6.0: 3.0, 3.0: 2.0, 1.0: 1.0, 7.0: -1.0})
+    searching(scorer, *range(8))
+    assert scorer.asked == [("coarse", x) for x in (6.0, 3.0, 1.0, 0.0, 2.0)]  # equally promising ones by their votes
+
+
+@pytest.mark.parametrize(("logit", "refined"), [(1.1, True), (0.9, False)])
+def test_a_finalist_far_behind_the_best_is_not_refined_fully(logit: float, refined: bool) -> None:
+    scorer = Scorer({0.0: 3.0, 0.5: 3.0, 1.0: logit, 1.5: 9.0})
+    search = searching(scorer, 0.0, 1.0, config=replace(CONFIG, finalists=2, contending=2.0))
+    assert best_place(search) == (1.5 if refined else 0.5)
+    assert (("full", 1.0) in scorer.asked) == refined
 
 
 def test_impossible_hypotheses_are_dropped_and_do_not_count() -> None:

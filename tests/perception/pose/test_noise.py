@@ -64,7 +64,7 @@ def test_gates_and_tolerances_follow_the_noise_up_to_a_share_of_the_part() -> No
     assert quiet.joint_refinement.depth_noise == 0.0002
     assert plain.at_noise(0.0, 0.1).joint_refinement.depth_noise == 3e-5
     noisy = plain.at_noise(0.002, 0.1)
-    for refinement in (noisy.quick_edges, noisy.quick_surface, noisy.edge_refinement):
+    for refinement in (noisy.rough_edges, noisy.quick_edges, noisy.quick_surface, noisy.edge_refinement):
         assert refinement.finest == pytest.approx(0.006)
     assert noisy.joint_refinement.depth_noise == 0.002
     assert surface_tolerance(0.1, noisy.verification) == pytest.approx(0.004)

@@ -15,7 +15,7 @@ from perception.geometry import Floats, invert_transform, make_transform, random
 from perception.part import PartModel, Symmetry, diameter
 from perception.pose.model.surface_models import surface_model
 from perception.pose.selection import bodies as module
-from perception.pose.selection._body_kernels import samples_within
+from perception.pose.selection._body_kernels import samples_shared, samples_within
 from perception.pose.selection.bodies import BodyConfig, BodyModel, body_model
 from tests.perception.pose import observed_part as at
 from tests.perception.pose import posed_parts as pp
@@ -198,6 +198,22 @@ def test_samples_within_are_those_of_the_twin(seed: int) -> None:
         arguments = T, samples, inside, origin, cell, depth
         assert samples_within(*arguments) == twin.samples_within(*arguments) > 3
     assert samples_within(T, samples[:0], inside, origin, cell, 0.0) == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_shared_samples_are_counted_both_ways_and_not_where_the_parts_are_far_apart(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    inside = rng.normal(size=(4, 5, 6)).astype(np.float32)
+    middle, radius, cell = np.array([0.4, 0.5, 0.6]), 0.9, 0.3
+    samples = cell * rng.uniform(0, 5, (300, 3))
+    turns = random_rotation(rng), random_rotation(rng)
+    T_a, T_b = (make_transform(turn, [0, 0, 2] + rng.uniform(-0.1, 0.1, 3) - turn @ middle) for turn in turns)
+    grid = samples, inside, np.zeros(3), cell, 0.2
+    want = samples_within(invert_transform(T_a) @ T_b, *grid) + samples_within(invert_transform(T_b) @ T_a, *grid)
+    assert samples_shared(T_a, T_b, middle, radius, *grid) == want > 20
+    away = float(np.linalg.norm((T_a[:3, :3] - T_b[:3, :3]) @ middle + T_a[:3, 3] - T_b[:3, 3]))
+    assert samples_shared(T_a, T_b, middle, away / 2 - 1e-6, *grid) == 0
+    assert samples_shared(T_a, T_b, middle, away / 2 + 1e-6, *grid) == want
 
 
 def test_no_sample_is_looked_up_beyond_the_grid() -> None:

@@ -6,7 +6,7 @@ import pytest
 from perception.geometry import Floats, make_transform, transform_points
 from perception.pose.model.surface_models import surface_model
 from perception.pose.verification import _verification_kernels as kernels
-from perception.pose.verification._refine_kernels import match_edges
+from perception.pose.verification._matching_kernels import explained_points, match_edges
 from perception.pose.verification.boundary_index import index_boundary
 from tests.perception.pose import observed_part as at
 from tests.perception.pose.observed_part import K
@@ -24,8 +24,8 @@ def point_at(u: float, v: float, z: float) -> Floats:
     return z * np.array([[(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], 1.0]])
 
 
-def is_occluded(point: Floats, depth: np.ndarray, radius: int = 2, match: int = -1) -> bool:
-    (occluded,) = kernels.occluded_points(HERE, point, np.array([match]), depth, K, 0.001, radius)
+def is_occluded(point: Floats, depth: np.ndarray, radius: int = 2, matched: bool = False) -> bool:
+    (occluded,) = kernels.occluded_points(HERE, point, np.array([matched]), depth, K, 0.001, radius)
     return bool(occluded)
 
 
@@ -34,7 +34,7 @@ def test_a_point_well_behind_what_was_measured_is_occluded() -> None:
     assert is_occluded(point_at(*MIDDLE, 0.5011), wall)
     assert not is_occluded(point_at(*MIDDLE, 0.5009), wall)
     assert not is_occluded(point_at(*MIDDLE, 0.4), wall)
-    assert not is_occluded(point_at(*MIDDLE, 0.6), wall, match=0)  # it was seen
+    assert not is_occluded(point_at(*MIDDLE, 0.6), wall, matched=True)
 
 
 def test_a_point_beside_an_open_pixel_is_not_occluded() -> None:
@@ -72,9 +72,9 @@ def test_occluded_points_are_those_of_the_twin(seed: int) -> None:
     depth[:, :100] = 0.0
     matches = rng.integers(-3, 3, len(POINTS))
     for radius in (0, 2):
-        arguments = T, POINTS, matches, depth, K, 0.001, radius
-        occluded = kernels.occluded_points(*arguments)
-        assert occluded.tolist() == twin.occluded_points(*arguments).tolist()
+        seen = depth, K, 0.001, radius
+        occluded = kernels.occluded_points(T, POINTS, matches >= 0, *seen)
+        assert occluded.tolist() == twin.occluded_points(T, POINTS, matches, *seen).tolist()
         assert 0.1 < occluded[matches < 0].mean() < 0.95
 
 
@@ -89,8 +89,8 @@ def test_edges_are_counted_as_the_kernels_find_them() -> None:
     beside = make_transform(None, (0.001, 0.0, 0.0)) @ T
     gates, hiding = (0.0015, 0.003, 0.9), (frame.depth, K, 0.001, 2)
     matches = match_edges(beside, POINTS, TANGENTS, *index.arrays, *gates)
-    occluded = kernels.occluded_points(beside, POINTS, matches, *hiding)
-    explained = kernels.explained_points(beside, POINTS, TANGENTS, *group, *gates)
+    occluded = kernels.occluded_points(beside, POINTS, matches >= 0, *hiding)
+    explained = explained_points(beside, POINTS, TANGENTS, *group, *gates)
     found = kernels.edge_counts(beside, POINTS, TANGENTS, *index.arrays, *gates, *hiding, *group)
     assert found == ((matches >= 0).sum(), occluded.sum(), explained.sum())
     assert 0 < found[0] < len(POINTS)
@@ -110,7 +110,7 @@ def test_a_point_is_explained_by_a_like_one_near_it() -> None:
         ((0.0, 0.0, 0.5), (0.85, 0.53, 0.0), False),
         ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0), False),
     ):
-        found = kernels.explained_points(T, points, tangents, np.array([place]), np.array([along]), 0.001, 0.001, 0.9)
+        found = explained_points(T, points, tangents, np.array([place]), np.array([along]), 0.001, 0.001, 0.9)
         assert found.tolist() == [explained], (place, along)
 
 
@@ -120,7 +120,7 @@ def test_a_point_is_explained_from_farther_away_along_the_line_of_sight() -> Non
     ray, across = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
     for offset, explained in ((0.0039 * ray, True), (0.0041 * ray, False), (0.0011 * across, False)):
         place = T[:3, 3] + offset
-        found = kernels.explained_points(T, points, tangents, place[None], tangents, 0.001, 0.004, 0.9)
+        found = explained_points(T, points, tangents, place[None], tangents, 0.001, 0.004, 0.9)
         assert found.tolist() == [explained], offset
 
 
@@ -133,11 +133,11 @@ def test_explained_points_are_those_of_the_twin(gate: float, depth_gate: float) 
     along = along + 0.3 * rng.normal(size=along.shape)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     arguments = T, POINTS, TANGENTS, boundary, along, gate, depth_gate, 0.9
-    found = kernels.explained_points(*arguments)
+    found = explained_points(*arguments)
     assert found.tolist() == twin.explained_points(*arguments).tolist()
     assert 0.1 < found.mean() < 0.9
     assert (
-        len(kernels.explained_points(T, POINTS, TANGENTS, np.zeros((0, 3)), np.zeros((0, 3)), gate, depth_gate, 0.9))
+        len(explained_points(T, POINTS, TANGENTS, np.zeros((0, 3)), np.zeros((0, 3)), gate, depth_gate, 0.9))
         == 0
     )
 
