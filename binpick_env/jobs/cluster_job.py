@@ -1,27 +1,28 @@
 """A map over indices as it is sent to the nodes of a cluster, and what comes back."""
 
+import hashlib
 import io
 import os
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsIndex
 
 import cloudpickle
 
-from binpick_env.jobs.folder_work import FolderWork
+from perception.runtime.file_work import FolderWork
 from perception.runtime.job_files import installed_weights
 
 
 @dataclass(frozen=True, kw_only=True)
 class SentFile:
-    """A file that a job reads.
+    """A file that a job, or an index of it, reads.
 
     Attributes:
         names: Absolute paths on the machine on which the job was started, the one without symbolic links last.
-        content: Bytes of the file.
+        content: Bytes of the file; on a node, a buffer of them that all of its workers share.
     """
 
     names: tuple[str, ...]
@@ -32,6 +33,10 @@ class SentFile:
         """Read a file of this machine."""
         named = os.path.abspath(path)  # noqa: PTH100 - symbolic links stay
         return cls(names=(named, str(path.resolve())), content=path.read_bytes())
+
+    def __reduce_ex__(self, protocol: SupportsIndex) -> tuple[Any, ...]:
+        """Let Ray keep the content in shared memory, where no worker needs a copy of it."""
+        return _sent, (self.names, pickle.PickleBuffer(self.content) if int(protocol) >= 5 else self.content)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +49,7 @@ class Job:
         start: Working directory of the process that started the job.
         files: Files that the work names.
         weights: Installed weights, by the names of their files.
+        digest: SHA-256 of both.
     """
 
     work: bytes
@@ -51,24 +57,35 @@ class Job:
     start: str
     files: tuple[SentFile, ...]
     weights: Mapping[str, bytes]
+    digest: str
 
     @classmethod
     def of(
-        cls, work: Callable[[int], Any], initializer: Callable[..., None] | None, initargs: tuple[Any, ...]
+        cls,
+        work: Callable[[int], Any],
+        initializer: Callable[..., None] | None,
+        initargs: tuple[Any, ...],
+        inputs: Iterable[Path] = (),
     ) -> "Job":
         """Pack a map with the installed weights, and with every file whose path is a text or a path in the map.
 
-        A part's file and a network's are therefore found wherever they stand in the settings.
+        A part's file and a network's are therefore found wherever they stand in the settings. Files that single indices
+        read, ``inputs``, are left out.
         """
         packed = io.BytesIO()
         pickler = _Pickler(packed, protocol=pickle.HIGHEST_PROTOCOL)
         pickler.dump((work, initializer, initargs))
+        apart = {path.resolve() for path in inputs}
+        paths = [Path(text) for text in sorted(pickler.texts) if _is_file(text)]
+        files = tuple(SentFile.read(path) for path in paths if path.resolve() not in apart)
+        weights = {path.name: path.read_bytes() for path in sorted(installed_weights().glob("*.safetensors"))}
         return cls(
             work=packed.getvalue(),
             name=_name(work),
             start=str(Path.cwd()),
-            files=tuple(SentFile.read(Path(text)) for text in sorted(pickler.texts) if _is_file(text)),
-            weights={path.name: path.read_bytes() for path in sorted(installed_weights().glob("*.safetensors"))},
+            files=files,
+            weights=weights,
+            digest=_digest([*((repr(file.names), file.content) for file in files), *weights.items()]),
         )
 
 
@@ -95,6 +112,18 @@ class _Pickler(cloudpickle.Pickler):  # type: ignore[misc]
     def persistent_id(self, value: Any) -> None:
         if isinstance(value, str | Path):
             self.texts.add(str(value))
+
+
+def _sent(names: tuple[str, ...], content: bytes) -> SentFile:
+    return SentFile(names=names, content=content)
+
+
+def _digest(contents: Iterable[tuple[str, bytes]]) -> str:
+    total = hashlib.sha256()
+    for name, content in contents:
+        total.update(f"{name}\0{len(content)}\0".encode(errors="surrogateescape"))
+        total.update(content)
+    return total.hexdigest()
 
 
 def _is_file(text: str) -> bool:

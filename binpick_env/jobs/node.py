@@ -1,7 +1,8 @@
 """What a worker process of a cluster's node does: it unpacks a job once, then computes index after index.
 
-A node needs nothing but the same build of the project. Files come with the job, and results go back with the bytes of
-the files that the work has written; the node keeps copies and drafts in a temporary folder.
+A node needs nothing but the same build of the project. Files come with the job, or with the index that reads them, and
+results go back with the bytes of the files that the work has written; the node keeps copies and drafts in a temporary
+folder.
 """
 
 import fcntl
@@ -12,18 +13,18 @@ import shutil
 import socket
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 
 from binpick_env.jobs.build import build, differences
-from binpick_env.jobs.cluster_job import Job, Outcome
-from binpick_env.jobs.folder_work import FolderWork
+from binpick_env.jobs.cluster_job import Job, Outcome, SentFile
 from binpick_env.jobs.workers import WorkerError
+from perception.runtime.file_work import FolderWork
 from perception.runtime.job_files import JobFile, JobFiles, use_job_files
 from perception.runtime.threads import one_core
 
@@ -36,13 +37,20 @@ class _LoadedJob:
     key: str
     name: str
     work: Callable[[int], Any]
+    files: JobFiles
 
 
 _loaded: _LoadedJob | None = None  # job of this process
 _begun: set[str] = set()  # names of the work that this process has begun
 
 
-def compute(key: str, required: Mapping[str, str], fetch: Callable[[], Job], index: int) -> Outcome:
+def compute(
+    key: str,
+    required: Mapping[str, str],
+    fetch: Callable[[], Job],
+    index: int,
+    fetch_inputs: Callable[[], Sequence[SentFile]] = tuple,
+) -> Outcome:
     """Compute one index of a job.
 
     Args:
@@ -50,6 +58,7 @@ def compute(key: str, required: Mapping[str, str], fetch: Callable[[], Job], ind
         required: Build of the process that started the job.
         fetch: Returns the job; called once in each process.
         index: Index to compute.
+        fetch_inputs: Returns the files that this index reads besides those of the job.
 
     Raises:
         WorkerError: This node runs another build; or the work raised what cannot be sent back. What else it raises is
@@ -59,8 +68,9 @@ def compute(key: str, required: Mapping[str, str], fetch: Callable[[], Job], ind
     if _loaded is None or _loaded.key != key:
         _require_build(required)
         _loaded = _load(key, fetch())
+    inputs = fetch_inputs()
     try:
-        with _compiled_once(_loaded.name), one_core():
+        with _laid_out(inputs, _loaded.files), _compiled_once(_loaded.name), one_core():
             if isinstance(_loaded.work, FolderWork):
                 return _in_own_folder(_loaded.work, index)
             return Outcome(result=_loaded.work(index), files={})
@@ -102,36 +112,63 @@ def _require_build(required: Mapping[str, str]) -> None:
 
 
 def _load(key: str, job: Job) -> _LoadedJob:
-    use_job_files(_unpacked(job))
+    files = _unpacked(job)
+    use_job_files(files)
     cv2.setNumThreads(1)
     work, initializer, initargs = pickle.loads(job.work)
     if initializer is not None:
         initializer(*initargs)
     _remove_left_over()
-    return _LoadedJob(key=key, name=job.name, work=work)
+    return _LoadedJob(key=key, name=job.name, work=work, files=files)
 
 
 def _unpacked(job: Job) -> JobFiles:
     """Write the files of a job into the node's folder, once per node."""
-    digest = hashlib.sha256(pickle.dumps((job.files, sorted(job.weights.items())))).hexdigest()[:16]
-    folder = node_folder() / "inputs" / digest
-    copies = {file: folder / str(k) / Path(file.names[0]).name for k, file in enumerate(job.files)}
-    weights = folder / "weights"
+    folder = node_folder() / "inputs" / job.digest[:16]
+    copies, weights = _copies(job.files, folder), folder / "weights"
     with _locked("inputs"):
-        if folder.exists() and not all(copy.exists() for copy in copies.values()):
+        if folder.exists() and not all(file.copy.exists() for file in copies.values()):
             shutil.rmtree(folder)  # something that cleans up temporary files has removed some
         if not folder.exists():
-            draft = folder.with_name(f".{digest}")
+            draft = folder.with_name(f".{folder.name}")
             shutil.rmtree(draft, ignore_errors=True)
-            for file, copy in copies.items():
-                _write(draft / copy.relative_to(folder), file.content)
+            _write_copies(job.files, draft)
             for name, content in job.weights.items():
                 _write(draft / "weights" / name, content)
             draft.mkdir(parents=True, exist_ok=True)  # a job may have no files
             draft.rename(folder)
         os.utime(folder)
-    found = {name: JobFile(resolved=file.names[-1], copy=copy) for file, copy in copies.items() for name in file.names}
-    return JobFiles(start=job.start, files=found, weights=weights)
+    return JobFiles(start=job.start, files=copies, weights=weights)
+
+
+@contextmanager
+def _laid_out(inputs: Sequence[SentFile], others: JobFiles) -> Iterator[None]:
+    """Let work find the files of an index beside the others, and remove them afterwards."""
+    if not inputs:
+        yield
+        return
+    with _draft_folder() as folder:
+        _write_copies(inputs, folder)
+        use_job_files(replace(others, files={**others.files, **_copies(inputs, folder)}))
+        try:
+            yield
+        finally:
+            use_job_files(others)
+
+
+def _copies(files: Sequence[SentFile], folder: Path) -> dict[str, JobFile]:
+    """Return the copies of files in a folder, by the files' names."""
+    placed = zip(files, _places(files, folder), strict=True)
+    return {name: JobFile(resolved=file.names[-1], copy=copy) for file, copy in placed for name in file.names}
+
+
+def _places(files: Sequence[SentFile], folder: Path) -> list[Path]:
+    return [folder / str(k) / Path(file.names[0]).name for k, file in enumerate(files)]
+
+
+def _write_copies(files: Sequence[SentFile], folder: Path) -> None:
+    for file, copy in zip(files, _places(files, folder), strict=True):
+        _write(copy, file.content)
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -139,12 +176,18 @@ def _write(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
-def _in_own_folder(work: FolderWork[Any], index: int) -> Outcome:
-    """Compute an index in a new folder, and take the files out of it."""
+@contextmanager
+def _draft_folder() -> Iterator[Path]:
+    """Make an empty folder, and remove it afterwards."""
     drafts = node_folder() / "drafts"
     drafts.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory(dir=drafts) as name:
-        folder = Path(name)
+        yield Path(name)
+
+
+def _in_own_folder(work: FolderWork[Any], index: int) -> Outcome:
+    """Compute an index in a new folder, and take the files out of it."""
+    with _draft_folder() as folder:
         result = work.function(folder, index)
         written = sorted(filter(Path.is_file, folder.rglob("*")), key=lambda path: path.stat().st_mtime_ns)
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in written}

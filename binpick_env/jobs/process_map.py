@@ -13,6 +13,9 @@ import cv2
 
 from binpick_env.jobs.workers import Cluster, Workers
 from binpick_env.jobs.workers import WorkerError as WorkerError
+from perception.runtime.file_work import FolderWork as FolderWork
+from perception.runtime.file_work import InputWork as InputWork
+from perception.runtime.file_work import without_inputs
 from perception.runtime.threads import one_core
 
 Result = TypeVar("Result")
@@ -27,8 +30,9 @@ def map_indices(
 ) -> Iterator[Result]:
     """Yield ``work(index)`` for every index in order of completion; each worker computes on one core.
 
-    The results are the same wherever they are computed. Work that writes files must be a
-    :class:`binpick_env.jobs.folder_work.FolderWork`, or they stay on the node of a cluster.
+    The results are the same wherever they are computed. Work that writes files must be a :class:`FolderWork`, or they
+    stay on the node of a cluster. Work that reads large files must be an :class:`InputWork`, or every node gets all of
+    them.
 
     Args:
         work: Function of an index. It must be picklable; worker processes share no state with this one.
@@ -50,6 +54,7 @@ def map_indices(
         return
     if workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
+    work, _ = without_inputs(work)  # which are here
     if workers < 2 or len(indices) < 2:
         for index in indices:
             with one_core():

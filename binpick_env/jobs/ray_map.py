@@ -6,15 +6,16 @@ import socket
 import time
 import uuid
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, TypeVar
 
 from binpick_env.jobs.build import build
-from binpick_env.jobs.cluster_job import Job, Outcome
-from binpick_env.jobs.folder_work import FolderWork
+from binpick_env.jobs.cluster_job import Job, Outcome, SentFile
 from binpick_env.jobs.workers import LOCAL, Cluster, WorkerError
-from perception.runtime.provenance import COMMIT, git_commit
+from perception.runtime.file_work import FolderWork, without_inputs
+from perception.runtime.provenance import COMMAND, COMMIT, command_line, git_commit
 from perception.runtime.threads import THREAD_VARIABLES
 
 Result = TypeVar("Result")
@@ -56,7 +57,9 @@ def map_on_cluster(
     its result is yielded.
 
     Args:
-        work: Function of an index; it must be picklable. Files that it names by a path or a text travel with it.
+        work: Function of an index; it must be picklable. Files that it names by a path or a text travel with it, once
+            to each node, and those of an :class:`InputWork` with the index that reads them. The latter are in memory
+            for no more indices than are submitted at a time.
         indices: Indices to compute.
         cluster: Where they are computed.
         initializer: Function that each worker process calls once.
@@ -68,7 +71,9 @@ def map_on_cluster(
     """
     if not indices:
         return
-    started = _Started(_join(cluster), Job.of(work, initializer, initargs))
+    work, inputs = without_inputs(work)
+    job = Job.of(work, initializer, initargs, (path for paths in inputs.values() for path in paths))
+    started = _Started(_join(cluster), job, inputs)
     todo, lost = deque(indices), Counter[int]()
     try:
         while todo or started.indices:
@@ -91,12 +96,13 @@ def map_on_cluster(
 class _Started:
     """The indices that are being computed, and the nodes that do it."""
 
-    def __init__(self, ray: Any, job: Job) -> None:
-        variables = dict.fromkeys(THREAD_VARIABLES, "1") | {COMMIT: git_commit()}
+    def __init__(self, ray: Any, job: Job, inputs: Mapping[int, Sequence[Path]]) -> None:
+        variables = dict.fromkeys(THREAD_VARIABLES, "1") | {COMMIT: git_commit(), COMMAND: command_line()}
         variables |= {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
         self.nodes = _Nodes(ray)
         self.indices: dict[Any, int] = {}  # by the references of their outcomes
         self._ray = ray
+        self._inputs = inputs
         self._arguments = (uuid.uuid4().hex, dict(build()), [ray.put(job)])  # in a list, it is fetched when asked for
         options = {"num_cpus": 1, "max_retries": 0, "runtime_env": {"env_vars": variables}}
         self._task = ray.remote(_task()).options(**options)
@@ -107,7 +113,8 @@ class _Started:
 
     def submit(self, index: int) -> None:
         """Let a node compute an index when one of its cores is free."""
-        self.indices[self._task.remote(*self._arguments, index)] = index
+        files = [self._ray.put(SentFile.read(path)) for path in self._inputs.get(index, ())]
+        self.indices[self._task.remote(*self._arguments, index, files)] = index
 
     def finished(self) -> Iterator[tuple[int, Outcome | None]]:
         """Yield each index that is computed, with None if its worker or node was lost; none if it takes long.
@@ -247,12 +254,13 @@ def leave_cluster() -> None:
 def _task() -> Callable[..., bytes]:
     """Return the function of a task, which is pickled by value: a node without the project can say so."""
 
-    def compute_index(key: str, required: dict[str, str], job: list[Any], index: int) -> bytes:
+    def compute_index(key: str, required: dict[str, str], job: list[Any], index: int, inputs: list[Any]) -> bytes:
         import ray
         from cloudpickle import dumps
 
         from binpick_env.jobs.node import compute
 
-        return dumps(compute(key, required, lambda: ray.get(job[0]), index))  # type: ignore[no-any-return]
+        outcome = compute(key, required, lambda: ray.get(job[0]), index, lambda: ray.get(inputs))
+        return dumps(outcome)  # type: ignore[no-any-return]
 
     return compute_index

@@ -19,7 +19,6 @@ from binpick_env.cell.settle import drop_and_settle
 from binpick_env.cell.simulation import Simulation
 from binpick_env.config import AppearanceChoice, CameraConfig, CellConfig, SensorChoice, SensorPreset
 from binpick_env.jobs.folder_config import ensure_same_config
-from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.workers import Workers, is_positive
 from binpick_env.options import CellOptions
@@ -32,6 +31,7 @@ from binpick_env.parts.unit import Unit
 from binpick_env.scenes.clutter import visible_fractions
 from perception.boundary import extract_boundary
 from perception.geometry import Floats, invert_transform, make_transform, rotation_about, transform_point_each
+from perception.runtime.file_work import FolderWork
 from perception.runtime.files import json_text
 from perception.runtime.last_result import LastResult
 from perception.segmentation.scene import SCENES_NOTE, BoundaryScene, SceneError

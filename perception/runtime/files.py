@@ -1,8 +1,9 @@
-"""Atomic writes: a file is written under another name and then renamed, so no reader sees half of it."""
+"""Atomic writes: files and folders are written under another name and then renamed, so no reader sees half of one."""
 
 import glob
 import json
 import os
+import shutil
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -67,7 +68,7 @@ def replace_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove_left_over(path)
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    draft = _draft_of(path)
     try:
         write(draft)
         draft.replace(path)
@@ -78,14 +79,56 @@ def replace_atomically(path: Path, write: Callable[[Path], None]) -> None:
         raise
 
 
+def make_folder_atomically(folder: Path, write: Callable[[Path], None]) -> bool:
+    """Make a folder that appears with everything in it.
+
+    Args:
+        folder: Folder to make; those around it that are missing are created. Drafts of it that killed processes have
+            left are removed.
+        write: Writes into the folder whose path it is given, which is empty. If it fails, nothing is left.
+
+    Returns:
+        Whether it was made: a folder that another process has made meanwhile stays as it is.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    _remove_left_over(folder)
+    draft = _draft_of(folder)
+    shutil.rmtree(draft, ignore_errors=True)  # left by a process that had this one's number
+    try:
+        draft.mkdir()
+        write(draft)
+        return _renamed(draft, folder)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _renamed(draft: Path, folder: Path) -> bool:
+    """Give a draft the name of a folder; tell whether there was none."""
+    try:
+        draft.rename(folder)
+    except OSError:
+        if folder.is_dir():
+            return False
+        raise
+    return True
+
+
+def _draft_of(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}")
+
+
 def _remove_left_over(path: Path) -> None:
-    """Remove the drafts of a file whose processes were killed while they wrote."""
+    """Remove the drafts of a file or a folder whose processes were killed while they wrote."""
     for draft in path.parent.glob(f".{glob.escape(path.name)}.*"):
         pid = draft.suffix[1:]
         # Another machine's process may have any number, but it would still be writing.
         with suppress(OSError):  # a second writer may remove it, too
-            if pid.isdecimal() and not _is_running(int(pid)) and time.time() - draft.stat().st_mtime > _STALE:
-                draft.unlink()
+            if pid.isdecimal() and not _is_running(int(pid)) and time.time() - _last_written(draft) > _STALE:
+                shutil.rmtree(draft) if draft.is_dir() else draft.unlink()
+
+
+def _last_written(draft: Path) -> float:
+    return max(path.stat().st_mtime for path in (draft, *draft.rglob("*")))
 
 
 def _is_running(pid: int) -> bool:

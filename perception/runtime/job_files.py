@@ -8,7 +8,7 @@ file asks :func:`local_file` where it lies.
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from perception.runtime.cache import cache_folder
 
@@ -42,7 +42,17 @@ class JobFiles:
 
     def find(self, path: Path) -> JobFile | None:
         """Return the copy of the file at a path of the other machine; None if it did not come with the job."""
-        return self.files.get(os.path.normpath(Path(self.start) / path))
+        return self.files.get(self.absolute(path))
+
+    def absolute(self, path: Path) -> str:
+        """Return the absolute path there, in which symbolic links stay."""
+        return os.path.normpath(Path(self.start) / path)
+
+    def inside(self, folder: Path) -> list[PurePath]:
+        """Return the paths of the files in a folder there and below it, relative to it and sorted."""
+        around = self.absolute(folder)
+        paths = (PurePath(name) for name in self.files)
+        return sorted(path.relative_to(around) for path in paths if path.is_relative_to(around))
 
 
 _job: JobFiles | None = None  # None: the job was started on this machine
@@ -61,9 +71,28 @@ def local_file(path: Path) -> Path:
 
 
 def resolved_path(path: Path) -> str:
-    """Return the absolute path of a file without symbolic links, on the machine on which the job was started."""
-    found = None if _job is None else _job.find(path)
-    return str(path.resolve()) if found is None else found.resolved
+    """Return the absolute path of a file without symbolic links, on the machine on which the job was started.
+
+    A folder of the job's files is named by it as well, where its links were resolved when the job was started.
+    """
+    if _job is None:
+        return str(path.resolve())
+    if found := _job.find(path):
+        return found.resolved
+    return _job.absolute(path) if _job.inside(path) else str(path.resolve())
+
+
+def find_files(folder: Path, pattern: str) -> list[Path]:
+    """Return the files in a folder that match a pattern, sorted; on a node, those that came with the job.
+
+    Args:
+        folder: Folder on the machine on which the job was started.
+        pattern: Glob of a fixed depth, such as ``*/*.npz``.
+    """
+    if _job is None:
+        return sorted(folder.glob(pattern))
+    depth = len(PurePath(pattern).parts)
+    return [folder / path for path in _job.inside(folder) if len(path.parts) == depth and path.match(pattern)]
 
 
 def installed_weights() -> Path:

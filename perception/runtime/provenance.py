@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 COMMIT = "BINPICK_COMMIT"  # variable that tells a node of a cluster the commit of a job
+COMMAND = "BINPICK_COMMAND"  # variable that tells a node of a cluster the command of a job
 PACKAGES = (
     "binpick",
     "mujoco",
@@ -75,5 +76,7 @@ def git_commit() -> str:
 
 
 def command_line() -> str:
-    """Return the command that this process was started with."""
+    """Return the command that this process was started with; on a node of a cluster, the one that started the job."""
+    if COMMAND in os.environ:
+        return os.environ[COMMAND]
     return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from perception.instance import Instance
+from perception.runtime.job_files import local_file
 from perception.s3dis.data.blocks import BlockConfig, BlockSample, RoomFrame, cover_room, point_features
 from perception.s3dis.data.categories import CATEGORIES
 from perception.s3dis.data.dataset import sees_colour
@@ -196,7 +197,7 @@ class RoomPredictor:
             room: Room to predict.
             rng: Source of the division of blocks into samples.
         """
-        network = _network(self.weights, self.weights.stat().st_mtime_ns, self.device)
+        network = _network(self.weights, local_file(self.weights).stat().st_mtime_ns, self.device)
         return merge_samples(describe_room(network, room, rng, self.config, self.device), room, self.config)
 
     def with_grouping(self, grouping: GroupingConfig | GroupMergingConfig) -> "RoomPredictor":

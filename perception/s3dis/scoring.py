@@ -11,13 +11,13 @@ import numpy as np
 from perception.instance import Instance
 from perception.metrics.average_precision import ap_summary
 from perception.metrics.matching import MIN_REGION, SceneMatches, SceneTruth, match_scene
+from perception.runtime.file_work import InputWork, Run
 from perception.s3dis.choices import Population
 from perception.s3dis.data.blocks import BlockConfig, Ints, cover_room
 from perception.s3dis.data.categories import CATEGORIES, SCORED
 from perception.s3dis.data.room import Room
 
 Predict = Callable[[Room, np.random.Generator], Sequence[Instance]]
-Run = Callable[[Callable[[int], SceneMatches], Sequence[int]], Iterator[SceneMatches]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,21 +115,26 @@ def match_room(
 
 
 def match_rooms(
-    predict: Predict, paths: Sequence[Path], run: Run = map, population: Population = "room", seed: int = 0
+    predict: Predict,
+    paths: Sequence[Path],
+    run: Run[SceneMatches] = map,
+    population: Population = "room",
+    seed: int = 0,
 ) -> Iterator[SceneMatches]:
     """Match the predictions of rooms with their truth.
 
     Args:
         predict: Returns the objects of a room, given its random generator.
         paths: Files of the rooms.
-        run: Maps a function over the indices of the rooms, in any order and any process.
+        run: Maps work over the indices of the rooms, each of which reads its file.
         population: Points that count, see :func:`match_room`.
         seed: Seed of the random generators of the rooms.
 
     Raises:
         RoomError: A file does not hold a complete room.
     """
-    return iter(run(partial(_match_file, predict, tuple(paths), population, seed), range(len(paths))))
+    match = partial(_match_file, predict, tuple(paths), population, seed)
+    return iter(run(InputWork(match, {k: [path] for k, path in enumerate(paths)}), range(len(paths))))
 
 
 def _match_file(predict: Predict, paths: Sequence[Path], population: Population, seed: int, index: int) -> SceneMatches:

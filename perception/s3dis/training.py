@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from perception.metrics.matching import match_scene
+from perception.runtime.job_files import resolved_path
 from perception.s3dis.choices import BudgetName, RowName
 from perception.s3dis.data.blocks import BlockConfig
 from perception.s3dis.data.categories import AREAS, CATEGORIES, TEST_AREA
@@ -174,7 +175,7 @@ def _sources(
     return {
         "row": training.row,
         "budget": training.budget,
-        "rooms": str(training.rooms.resolve()),
+        "rooms": resolved_path(training.rooms),
         "trained_on": [packed.room.name for packed in rooms],
         "held_out": [f"{path.parent.name}/{path.stem}" for path in held_out],
         "min_sizes": dict(zip(CATEGORIES, min_sizes, strict=True)),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from binpick_env.jobs.text_tables import counted
 from perception.s3dis.choices import BudgetName, Identity, Population, RowName
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 if TYPE_CHECKING:
     from perception.s3dis.evaluation.subject import Subject
@@ -16,14 +17,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Synthesize:
+class Synthesize(WorkerArguments):
     """Write furnished rooms in the on-disk format of S3DIS, Area_1 to Area_6 in turn; resumes where it was stopped."""
 
     out: Path  # root folder of the tree
     rooms: int = 12  # number of rooms
     seed: int = 0  # seed of all rooms; room i is drawn from (seed, i)
     density: float = 1000.0  # number of points on a square metre of surface; S3DIS has some 9000
-    workers: int = 2  # number of processes, each on one core
 
     def work(self) -> str:
         """Write the rooms."""
@@ -32,12 +32,12 @@ class Synthesize:
 
         config = SynthesisConfig(seed=self.seed, density=self.density)
         ensure_same_config(self.out / "synthetic.json", asdict(config), "rooms")
-        list(_bar(synthesize_rooms(config, self.rooms, self.out, _processes(self.workers)), self.rooms))
+        list(_bar(synthesize_rooms(config, self.rooms, self.out, _runner(self)), self.rooms))
         return f"{counted(self.rooms, 'room')} in {self.out}"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prepare:
+class Prepare(WorkerArguments):
     """Read the raw tree of S3DIS (Area_*/ROOM/Annotations/*.txt) into one compact file a room.
 
     The same command keeps the rooms that are whole and makes the others.
@@ -45,7 +45,6 @@ class Prepare:
 
     raw: Path  # folder that Area_1 is in, of the aligned version 1.2
     out: Path  # folder of the rooms
-    workers: int = 2  # number of processes, each on one core
     json: Path | None = None  # JSON file for the number of rooms and points, remarks, seconds
 
     def work(self) -> str:
@@ -56,7 +55,7 @@ class Prepare:
         from perception.s3dis.data.record import recorded
 
         rooms = find_raw_rooms(self.raw)
-        bar = _bar(prepare_rooms(rooms, self.out, _processes(self.workers)), len(rooms))
+        bar = _bar(prepare_rooms(rooms, self.out, _runner(self)), len(rooms))
         made = summary(list(bar))
         if self.json is not None:
             write_atomically(self.json, recorded({**made, "seconds": bar.format_dict["elapsed"]}))
@@ -106,7 +105,7 @@ class Train:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate:
+class Evaluate(WorkerArguments):
     """Print AP50 of the twelve categories beside the paper's table 1."""
 
     rooms: Path  # folder made by prepare
@@ -117,7 +116,6 @@ class Evaluate:
     # points that count: the room's, each once, or those of all blocks, as in SGPN's code
     population: Population = "room"
     seed: int = 0  # seed of the distribution of a block's points among samples
-    workers: int = 2  # number of processes, each on one core
     json: Path | None = None  # JSON file for ap50 by category, mean_ap50, ap25 and ap
 
     def config(self) -> "Subject":
@@ -136,8 +134,8 @@ class Evaluate:
 
         subject = self.config()
         paths = subject.paths()
-        run = _processes(self.workers)
-        judged = match_rooms(subject.predict(_device()), paths, run, self.population, self.seed)
+        device = _device() if self.cluster is None else "cpu"  # a worker of a cluster computes on one core
+        judged = match_rooms(subject.predict(device), paths, _runner(self), self.population, self.seed)
         scores = S3disScores.of(list(_bar(judged, len(paths))))
         if self.json is not None:
             write_atomically(self.json, recorded({**asdict(scores), **subject.note(), "rooms": len(paths)}))
@@ -169,13 +167,13 @@ def _device() -> str:
     return "cuda" if torch.cuda.is_available() else "cpu"
 
 
-def _processes(workers: int) -> Callable[..., Any]:
+def _runner(places: WorkerArguments) -> Callable[..., Any]:
     from binpick_env.jobs.process_map import map_indices
 
-    return partial(map_indices, workers=workers)
+    return partial(map_indices, workers=places.places())
 
 
 def _bar(made: Iterable[Any], total: int) -> Any:
-    from tqdm import tqdm
+    from policies.commands.progress import ProgressBar
 
-    return tqdm(made, total=total, unit="room", smoothing=0.02)
+    return ProgressBar(made, total=total, unit="room", smoothing=0.02)

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 from perception.s3dis.choices import BudgetName
 from policies.commands.command_line import exit_code, parse
+from policies.commands.worker_arguments import WorkerArguments
 
 if TYPE_CHECKING:
     from perception.s3dis.evaluation.table import TableConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(WorkerArguments):
     """Train the four rows of the paper's table 1 with several seeds and print both beside each other.
 
     The same command resumes where it was stopped; with more --seeds it adds trainings.
@@ -28,7 +29,7 @@ class Arguments:
     points: int | None = None  # number of points sampled from a block; the budget's unless given
     held_out: int = 4  # number of training rooms kept to choose thresholds on
     out: Path = Path("runs/s3dis-table")  # folder of trainings and verdicts
-    workers: int = 2  # number of trainings at once, each on one core
+    workers: int = 2  # number of processes, each on one core; each makes one training at a time
     json: Path | None = None  # JSON file for the rows
 
     def config(self) -> "TableConfig":
@@ -54,7 +55,6 @@ def run(args: Arguments) -> int:
 
 def _table(args: Arguments) -> str:
     import numpy as np
-    from tqdm import tqdm
 
     from binpick_env.jobs.folder_config import ensure_same_config
     from binpick_env.jobs.process_map import map_indices
@@ -63,11 +63,12 @@ def _table(args: Arguments) -> str:
     from perception.s3dis.data.record import recorded
     from perception.s3dis.evaluation.published import SOURCE, table_rows
     from perception.s3dis.evaluation.table import interval_lines, judge_rows, tabulate
+    from policies.commands.progress import ProgressBar
 
     config = args.config()
     ensure_same_config(args.out / "table.json", config.note(), "trainings")
-    judged = judge_rows(config, args.out, partial(map_indices, workers=args.workers))
-    rows = tabulate(list(tqdm(judged, total=config.trainings, unit="training")), np.random.default_rng(0))
+    judged = judge_rows(config, args.out, partial(map_indices, workers=args.places()))
+    rows = tabulate(list(ProgressBar(judged, total=config.trainings, unit="training")), np.random.default_rng(0))
     if args.json is not None:
         write_atomically(args.json, recorded({**config.note(), "rows": [asdict(row) for row in rows]}))
     table = columns(table_rows([(row.row, row.scores) for row in rows]))

@@ -8,9 +8,9 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
-from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.workers import Cluster, WorkerError, Workers, is_positive
+from perception.runtime.file_work import FolderWork
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.records import RecordError
 from perception.runtime.threads import one_core

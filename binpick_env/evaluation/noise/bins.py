@@ -16,7 +16,6 @@ from binpick_env.evaluation.noise.comparison import FrameObservation, compare_wi
 from binpick_env.evaluation.segmentation.method import MethodConfig
 from binpick_env.evaluation.segmentation.summary import weights_provenance
 from binpick_env.jobs.folder_config import ensure_same_config
-from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.workers import Workers
 from binpick_env.observation.part_class import PartClass, part_class, size_px
@@ -26,6 +25,7 @@ from binpick_env.parts.families.names import GeneratedName
 from binpick_env.parts.families.registry import FAMILIES
 from binpick_env.parts.label import part_label
 from binpick_env.scenes.synthesis import MANY_PARTS, SceneConfig, with_room
+from perception.runtime.file_work import FolderWork
 from perception.runtime.files import json_text, write_atomically
 from perception.segmentation.weights import find_weights
 from perception.shape import Signature, shape_signature

@@ -17,7 +17,6 @@ from binpick_env.evaluation.pose.record import DOUBT_COLUMNS, STAGES, TRIALS, VE
 from binpick_env.evaluation.segmentation.evaluation import EvaluationConfig, require_unseen
 from binpick_env.evaluation.segmentation.record import record_path
 from binpick_env.jobs.folder_config import ensure_same_config
-from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.workers import Workers, is_positive
 from binpick_env.scenes.synthesis import OLDER_SETTINGS, CapturedScene, SceneConfig, make_scene, scene_settings
@@ -30,6 +29,7 @@ from perception.instance import Instance, labels_of
 from perception.pose.candidates import nearest_groups
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.explanation import explain_segments
+from perception.runtime.file_work import FolderWork
 from perception.runtime.provenance import git_commit
 from perception.runtime.records import RecordError
 from perception.runtime.threads import use_threads

@@ -14,7 +14,6 @@ import numpy as np
 from binpick_env.evaluation.segmentation.method import MethodConfig, Segmenter, segmenter
 from binpick_env.evaluation.segmentation.record import STAGES, SceneRecord, record_path
 from binpick_env.jobs.folder_config import ensure_same_config
-from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.workers import Workers, is_positive
 from binpick_env.scenes.boundary_quality import wrong_side
@@ -22,6 +21,7 @@ from binpick_env.scenes.synthesis import OLDER_SETTINGS, SceneConfig, is_of_part
 from perception.boundary import BoundarySettings, extract_boundary
 from perception.frame import Frame, Workspace
 from perception.instance import Instance, labels_of
+from perception.runtime.file_work import FolderWork
 from perception.runtime.provenance import git_commit
 from perception.runtime.records import RecordError
 from perception.runtime.threads import use_threads

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.runtime.job_files import local_file
 from perception.s3dis.data._kernels import LARGEST, NO_COLOUR, NOT_A_NUMBER, NOT_SIX, OUT_OF_RANGE, WHOLE, parse_points
 
 Singles = NDArray[np.float32]
@@ -58,7 +59,7 @@ def read_annotation(path: Path, name: str) -> Annotation:
     Note:
         It reads 2.5 to 4 million points per second. Known faults are repaired in memory with a remark; others raise.
     """
-    text = np.frombuffer(path.read_bytes(), np.uint8)
+    text = np.frombuffer(local_file(path).read_bytes(), np.uint8)
     points, colours, count, verdict, line = _parsed(text)
     remark = ""
     if verdict != WHOLE and name in KNOWN_FAULTS:

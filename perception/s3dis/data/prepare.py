@@ -1,7 +1,7 @@
 """Conversion of the raw tree to compact files, one for each room."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from perception.runtime.file_work import FolderWork, InputWork, Run
 from perception.runtime.files import write_atomically
 from perception.s3dis.data.categories import CATEGORIES
 from perception.s3dis.data.raw_tree import RawRoom
@@ -37,11 +38,7 @@ class PreparedRoom:
     new: bool
 
 
-Work = Callable[[int], PreparedRoom]
-Run = Callable[[Work, Sequence[int]], Iterator[PreparedRoom]]  # maps over indices, in any order, in any process
-
-
-def prepare_rooms(rooms: Sequence[RawRoom], out: Path, run: Run = map) -> Iterator[PreparedRoom]:
+def prepare_rooms(rooms: Sequence[RawRoom], out: Path, run: Run[PreparedRoom] = map) -> Iterator[PreparedRoom]:
     """Write a file for each room and yield each result; at the end, write a description of the folder.
 
     A complete file that was made from the same raw files is kept. Any other file is made again.
@@ -49,14 +46,23 @@ def prepare_rooms(rooms: Sequence[RawRoom], out: Path, run: Run = map) -> Iterat
     Args:
         rooms: Rooms of the raw tree.
         out: Folder of the files.
-        run: Maps a function over the indices of the rooms. The largest room comes first, which balances processes.
+        run: Maps work over the indices of the rooms to make, each of which reads its raw files. The largest room comes
+            first, which balances processes.
 
     Raises:
         RawDataError: A raw file is malformed; finished rooms remain.
     """
     order = sorted(range(len(rooms)), key=lambda k: -sum(rooms[k].sizes))
-    done = []
-    for prepared in run(partial(_prepare, tuple(rooms), out), order):
+    done, missing = [], []
+    for k in order:
+        room = _finished(room_path(out, rooms[k].name), rooms[k].digest())
+        if room is None:
+            missing.append(k)
+        else:
+            done.append(_prepared(room, new=False))
+            yield done[-1]
+    work = InputWork(FolderWork(partial(_prepare, tuple(rooms)), out), {k: rooms[k].files() for k in missing})
+    for prepared in run(work, missing):
         done.append(prepared)
         yield prepared
     done.sort(key=lambda prepared: prepared.name)
@@ -74,13 +80,12 @@ def summary(done: Sequence[PreparedRoom]) -> dict[str, Any]:
 
 
 def _prepare(rooms: Sequence[RawRoom], out: Path, index: int) -> PreparedRoom:
-    raw = rooms[index]
-    path = room_path(out, raw.name)
-    room = _finished(path, raw.digest())
-    new = room is None
-    if room is None:
-        room = raw.read()
-        room.save(path)
+    room = rooms[index].read()
+    room.save(room_path(out, room.name))
+    return _prepared(room, new=True)
+
+
+def _prepared(room: Room, new: bool) -> PreparedRoom:
     categories = room.category_of_instance()[np.unique(room.instance)]
     numbers = np.bincount(categories, minlength=len(CATEGORIES)).tolist()
     return PreparedRoom(

@@ -40,14 +40,17 @@ class RawRoom:
         """Return a sha256 over names, categories and sizes of the files."""
         return hashlib.sha256(repr((self.members, self.categories, self.sizes)).encode()).hexdigest()
 
+    def files(self) -> list[Path]:
+        """Return the paths of the annotation files."""
+        return [self.root / self.name / MEMBERS / member for member in self.members]
+
     def read(self) -> Room:
         """Read all annotation files of the room.
 
         Raises:
             RawDataError: A file is malformed.
         """
-        folder = self.root / self.name / MEMBERS
-        read = [read_annotation(folder / member, f"{self.name}/{MEMBERS}/{member}") for member in self.members]
+        read = [read_annotation(path, f"{self.name}/{MEMBERS}/{path.name}") for path in self.files()]
         counts = [len(annotation.xyz) for annotation in read]
         return Room(
             name=self.name,

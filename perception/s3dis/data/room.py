@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.geometry import Floats, require_shape
+from perception.runtime.job_files import find_files
 from perception.runtime.records import RecordError, RecordFormat
 from perception.s3dis.data.categories import CATEGORIES
 
@@ -137,7 +138,7 @@ def find_rooms(folder: Path, areas: Sequence[int] | None = None) -> list[Path]:
     Raises:
         FileNotFoundError: There are no such rooms.
     """
-    found = sorted(folder.glob("Area_*/*.npz"))
+    found = find_files(folder, "Area_*/*.npz")
     wanted = [path for path in found if areas is None or path.parent.name in {f"Area_{area}" for area in areas}]
     if not wanted:
         which = "" if areas is None else " of area " + ", ".join(str(area) for area in areas)

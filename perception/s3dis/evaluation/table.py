@@ -1,9 +1,9 @@
 """Reproduction of Table 1: four rows, several seeds, one budget, the same rooms."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from perception.metrics.average_precision import percentile_interval, weighted_ap
 from perception.metrics.matching import SceneMatches
+from perception.runtime.file_work import FolderWork, Run
 from perception.runtime.records import RecordError
 from perception.s3dis.choices import BudgetName, RowName
 from perception.s3dis.data.categories import CLUTTER, SCORED, TEST_AREA
@@ -24,7 +25,6 @@ from perception.segmentation.training.run import WEIGHTS
 
 SCORES = "scores.json"
 RESAMPLES = 1000
-Run = Callable[[Callable[[int], JudgedRow], Sequence[int]], Iterator[JudgedRow]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,13 +95,13 @@ class TableRow:
     gain_interval: tuple[float, float]
 
 
-def judge_rows(config: TableConfig, out: Path, run: Run = map) -> Iterator[JudgedRow]:
+def judge_rows(config: TableConfig, out: Path, run: Run[JudgedRow] = map) -> Iterator[JudgedRow]:
     """Train and judge every row with every seed, and yield each result; finished trainings in ``out`` are reused.
 
     Args:
         config: Settings of the table.
         out: Folder of the trainings: checkpoints, weights, verdicts.
-        run: Maps a function over the indices of the trainings, which are sorted by seed, then by row.
+        run: Maps work over the indices of the trainings to do, which are sorted by seed, then by row.
 
     Raises:
         FileNotFoundError: There are no rooms to train on, or none of Area 5.
@@ -113,7 +113,13 @@ def judge_rows(config: TableConfig, out: Path, run: Run = map) -> Iterator[Judge
     config = TableConfig(
         **{each.name: getattr(config, each.name) for each in fields(TableConfig)}
     )  # the plain class, where a script passes a subclass
-    return iter(run(partial(_train_and_judge, config, out), range(config.trainings)))
+    config = replace(config, rooms=config.rooms.resolve())  # as records name it, wherever they are written
+    judged = {index: _judged(config, out, index) for index in range(config.trainings)}
+    missing = [index for index, row in judged.items() if row is None]
+    # The files of the rooms are named, so that each node of a cluster gets them once: all trainings read them, and with
+    # each index they would be sent, and wait, once for every training.
+    work = FolderWork(partial(_train_and_judge, config, tuple(find_rooms(config.rooms))), out)
+    return chain((row for row in judged.values() if row is not None), run(work, missing))
 
 
 def tabulate(judged: Sequence[JudgedRow], rng: np.random.Generator, resamples: int = RESAMPLES) -> list[TableRow]:
@@ -161,18 +167,28 @@ def interval_lines(rows: Sequence[TableRow]) -> list[list[str]]:
     return cells
 
 
-def _train_and_judge(config: TableConfig, out: Path, index: int) -> JudgedRow:
-    """Train and judge the row and seed of an index."""
+def _training(config: TableConfig, out: Path, index: int) -> RowTraining:
     row, seed = ROWS[index % len(ROWS)], index // len(ROWS)
-    folder = out / f"{row}-{seed}"
-    with suppress(RecordError):  # without a complete record, the row is judged
-        return load_judged(folder / SCORES)
-    train_row(config.training(row, seed, folder))
-    predict = RoomPredictor.from_file(folder / WEIGHTS)
-    paths = find_rooms(config.rooms, (TEST_AREA,))
+    return config.training(row, seed, out / f"{row}-{seed}")
+
+
+def _judged(config: TableConfig, out: Path, index: int) -> JudgedRow | None:
+    """Return the verdicts on the row and seed of an index; None without a complete record."""
+    try:
+        return load_judged(_training(config, out, index).folder() / SCORES)
+    except RecordError:
+        return None
+
+
+def _train_and_judge(config: TableConfig, rooms: Sequence[Path], out: Path, index: int) -> JudgedRow:
+    """Train and judge the row and seed of an index; ``rooms`` are the files of all rooms."""
+    training = _training(config, out, index)
+    train_row(training)
+    predict = RoomPredictor.from_file(training.folder() / WEIGHTS)
+    paths = [path for path in rooms if path.parent.name == f"Area_{TEST_AREA}"]
     names = tuple(f"{path.parent.name}/{path.stem}" for path in paths)
-    judged = JudgedRow(row=row, seed=seed, names=names, matches=tuple(match_rooms(predict, paths)))
-    save_judged(folder / SCORES, judged)
+    judged = JudgedRow(row=training.row, seed=training.seed, names=names, matches=tuple(match_rooms(predict, paths)))
+    save_judged(training.folder() / SCORES, judged)
     return judged
 
 

@@ -1,11 +1,10 @@
 """Synthetic furnished rooms in the format of S3DIS, to test the protocol without the data set."""
 
-import os
-import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.geometry import Floats
+from perception.runtime.file_work import FolderWork, Run
+from perception.runtime.files import make_folder_atomically
 from perception.s3dis.data.categories import AREAS
 from perception.s3dis.data.raw_tree import MEMBERS
 from perception.s3dis.synthesis.furnishing import KINDS, make_interior
 from perception.s3dis.synthesis.solids import Brush, Cloud
 
 COLOUR_NOISE = 7.0  # standard deviation of the noise on a colour, on a scale of 255
-Run = Callable[[Callable[[int], str], Sequence[int]], Iterator[str]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,21 +83,24 @@ def make_room(config: SynthesisConfig, index: int) -> list[ScannedObject]:
     return scanned
 
 
-def synthesize_rooms(config: SynthesisConfig, count: int, out: Path, run: Run = map) -> Iterator[str]:
+def synthesize_rooms(config: SynthesisConfig, count: int, out: Path, run: Run[str] = map) -> Iterator[str]:
     """Write rooms 0 to ``count - 1`` and yield the name of each; rooms that exist are kept.
 
     Args:
         config: Settings of the synthesis.
         count: Number of rooms.
         out: Root of the tree.
-        run: Maps a function over the indices of the rooms.
+        run: Maps work over the indices of the rooms to make.
 
     Raises:
         ValueError: ``count`` is below 1.
     """
     if count < 1:
         raise ValueError(f"rooms must be at least 1, got {count}")
-    return iter(run(partial(_write_room, config, out), range(count)))
+    names = [room_name(config, index) for index in range(count)]
+    missing = [index for index, name in enumerate(names) if not (out / name).exists()]
+    made = run(FolderWork(partial(_write_room, config), out), missing)
+    return chain((name for index, name in enumerate(names) if index not in missing), made)
 
 
 def _rng(config: SynthesisConfig, index: int) -> np.random.Generator:
@@ -115,20 +118,15 @@ def _lit(cloud: Cloud, lamp: Floats, rng: np.random.Generator) -> NDArray[np.uin
 
 
 def _write_room(config: SynthesisConfig, out: Path, index: int) -> str:
-    """Write the folder of a room, atomically, unless it exists."""
-    name = room_name(config, index)
-    folder = out / name
-    if folder.exists():
-        return name
-    draft = folder.with_name(f".{folder.name}.{os.getpid()}")
-    try:
-        (draft / MEMBERS).mkdir(parents=True)
-        for item in make_room(config, index):
+    """Write the folder of a room, atomically."""
+    objects, name = make_room(config, index), room_name(config, index)
+
+    def write(draft: Path) -> None:
+        (draft / MEMBERS).mkdir()
+        for item in objects:
             (draft / MEMBERS / f"{item.name}.txt").write_text(_text(item), encoding="utf-8")
-        draft.rename(folder)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
+
+    make_folder_atomically(out / name, write)
     return name
 
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.workers import Workers
+from perception.runtime.file_work import FolderWork
 from policies.benchmarks.measurement import Measurement
 
 START, ITEM, MEGABYTE = "start of a worker", "taking an item", "taking a megabyte"

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from binpick_env.config import Perception
-from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.workers import Workers
 from binpick_env.options import CellOptions
+from perception.runtime.file_work import FolderWork
 from perception.runtime.files import json_text, write_atomically
 from perception.runtime.records import RecordFormat
 from policies.grasping.outcomes import PickResult

@@ -6,9 +6,9 @@ from uuid import uuid4
 
 from binpick_env.jobs import node
 from binpick_env.jobs.build import build
-from binpick_env.jobs.cluster_job import Job
-from binpick_env.jobs.folder_work import FolderWork
+from binpick_env.jobs.cluster_job import Job, SentFile
 from binpick_env.jobs.workers import Cluster
+from perception.runtime.file_work import FolderWork, without_inputs
 from perception.runtime.job_files import use_job_files
 
 Result = TypeVar("Result")
@@ -22,10 +22,13 @@ def node_map(
     initargs: tuple[Any, ...] = (),
 ) -> Iterator[Result]:
     """Yield the results as `map_on_cluster` does, the last index first."""
-    job, key = Job.of(work, initializer, initargs), uuid4().hex
+    work, inputs = without_inputs(work)
+    job = Job.of(work, initializer, initargs, (path for paths in inputs.values() for path in paths))
+    key = uuid4().hex
     for index in reversed(indices):
+        files = [SentFile.read(path) for path in inputs.get(index, ())]
         try:
-            outcome = node.compute(key, dict(build()), lambda: job, index)
+            outcome = node.compute(key, dict(build()), lambda: job, index, lambda files=files: files)
         finally:
             use_job_files(None)
             node._loaded = None

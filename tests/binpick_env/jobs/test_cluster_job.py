@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from binpick_env.jobs.cluster_job import Job
-from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.scenes.synthesis import SceneConfig
+from perception.runtime.file_work import FolderWork
 
 
 def work(config: object, folder: Path, index: int) -> int:

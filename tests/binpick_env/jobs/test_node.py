@@ -12,11 +12,12 @@ import pytest
 from binpick_env.jobs import node
 from binpick_env.jobs.build import build
 from binpick_env.jobs.cluster_job import Job, Outcome
-from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.workers import WorkerError
-from perception.runtime.job_files import local_file, resolved_path, use_job_files
+from perception.runtime.file_work import FolderWork
+from perception.runtime.job_files import JobFiles, local_file, resolved_path, use_job_files
 
 started: list[str] = []
+NO_FILES = JobFiles(start="/", files={}, weights=Path())
 
 
 @pytest.fixture(autouse=True)
@@ -123,7 +124,7 @@ def test_errors_of_the_work_arrive_or_are_told_in_words(error: BaseException, ki
     def fail(index: int) -> None:
         raise error
 
-    node._loaded = node._LoadedJob(key="job", name="fail", work=fail)
+    node._loaded = node._LoadedJob(key="job", name="fail", work=fail, files=NO_FILES)
     with pytest.raises(kind, match=text):
         node.compute("job", dict(build()), lambda: pytest.fail("it is loaded"), 0)
 

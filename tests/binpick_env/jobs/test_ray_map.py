@@ -14,11 +14,11 @@ import trimesh
 from binpick_env.config import CameraConfig
 from binpick_env.jobs import ray_map
 from binpick_env.jobs.build import build
-from binpick_env.jobs.folder_work import FolderWork
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.workers import Cluster, WorkerError
 from binpick_env.parts.part import load_part
 from binpick_env.scenes.synthesis import SceneConfig, generate_scenes
+from perception.runtime.file_work import FolderWork
 from tests.binpick_env.jobs import cluster_works as works
 
 CLUSTER = Cluster(address="auto")

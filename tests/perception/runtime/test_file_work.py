@@ -1,7 +1,7 @@
 from functools import partial
 from pathlib import Path
 
-from binpick_env.jobs.folder_work import FolderWork
+from perception.runtime.file_work import FolderWork
 
 
 def double(folder: Path, index: int) -> int:
