@@ -7,6 +7,8 @@ import time
 from pathlib import Path
 
 from binpick_env.parts.part import load_part
+from perception.runtime.job_files import local_file
+from perception.runtime.provenance import command_line, git_commit
 from perception.segmentation.weights import user_folder
 
 _start = "untouched"
@@ -32,6 +34,10 @@ def circumstances(index: int) -> tuple[int, int, str, dict[str, int]]:
     return index, os.getpid(), _start, threads
 
 
+def provenance(index: int) -> tuple[str, str]:
+    return command_line(), git_commit()
+
+
 def square(index: int) -> int:
     return index * index
 
@@ -47,10 +53,12 @@ def fail_at(which: int, index: int) -> int:
 
 
 def die_once(folder: Path, which: int, index: int) -> int:
-    """Kill this process, but not that of the second attempt."""
-    if index == which and not (folder / "died").exists():
-        (folder / "died").touch()
-        os.kill(os.getpid(), signal.SIGKILL)
+    """Kill this process, but not that of the second attempt; each has the files of the index."""
+    if index == which:
+        assert local_file(folder / "input") != folder / "input"
+        if not (folder / "died").exists():
+            (folder / "died").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
     return index
 
 
@@ -78,6 +86,12 @@ def write_letters(count: int, folder: Path, index: int) -> int:
     time.sleep(0.02)  # longer than the resolution of a file's time
     (folder / f"last {index}.txt").write_text("ß" * index, encoding="utf-8")
     return index
+
+
+def read_own(paths: list[Path], index: int) -> tuple[bytes, Path, list[bool]]:
+    """Return the file of an index, where it lies, and of which indices the files are there."""
+    copies = [local_file(path) for path in paths]
+    return copies[index].read_bytes(), copies[index], [copy != path for copy, path in zip(copies, paths, strict=True)]
 
 
 def weigh_without_the_file(part: str, index: int) -> tuple[float, str, str]:

@@ -1,6 +1,8 @@
 """A map over a cluster without one: each index is computed as a node does it, but in this process."""
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import chdir, contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
 
@@ -35,3 +37,26 @@ def node_map(
         if isinstance(work, FolderWork):
             work.keep(outcome.files)
         yield outcome.result
+
+
+@contextmanager
+def distant_node(*folders: Path) -> Iterator[None]:
+    """Let a node have neither some folders nor the working directory while it computes."""
+    compute = node.compute
+    hidden = {folder.absolute(): folder.absolute().with_name(f"{folder.name} hidden") for folder in folders}
+
+    def elsewhere(*arguments: Any) -> Any:
+        for folder, away in hidden.items():
+            folder.rename(away)
+        try:
+            with chdir("/"):
+                return compute(*arguments)
+        finally:
+            for folder, away in hidden.items():
+                away.rename(folder)
+
+    node.compute = elsewhere
+    try:
+        yield
+    finally:
+        node.compute = compute

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from binpick_env.jobs.cluster_job import Job
+from binpick_env.jobs.cluster_job import Job, SentFile
 from binpick_env.scenes.synthesis import SceneConfig
 from perception.runtime.file_work import FolderWork
 
@@ -58,3 +58,31 @@ def test_installed_weights_travel_by_their_names(start: Path) -> None:
 def test_a_job_has_the_name_of_its_function(start: Path) -> None:
     whole = FolderWork(partial(partial(work, 1)), start)
     assert Job.of(whole, None, ()).name == f"{__name__}.work"
+
+
+def test_files_of_single_indices_do_not_travel_with_the_job(start: Path) -> None:
+    named = partial(work, ["parts/gear.stl", "other.stl"])
+    (file,) = Job.of(named, None, (), [start / "link.stl"]).files  # a link to the gear
+    assert file.content == b"another part"
+
+
+def test_jobs_with_other_files_have_other_digests(start: Path) -> None:
+    first = Job.of(partial(work, "other.stl"), None, ())
+    assert Job.of(partial(work, "other.stl"), print, ()).digest == first.digest
+    (start / "other.stl").write_bytes(b"a new part")
+    assert Job.of(partial(work, "other.stl"), None, ()).digest != first.digest
+
+
+@pytest.mark.parametrize("protocol", [4, 5])
+def test_a_file_is_pickled_with_all_that_it_holds(start: Path, protocol: int) -> None:
+    file = SentFile.read(start / "other.stl")
+    assert pickle.loads(pickle.dumps(file, protocol)) == file
+
+
+def test_the_content_of_a_file_can_be_kept_in_shared_memory(start: Path) -> None:
+    shared: list[pickle.PickleBuffer] = []
+    file = SentFile.read(start / "other.stl")
+    pickled = pickle.dumps(file, 5, buffer_callback=shared.append)
+    assert b"another part" not in pickled
+    assert [bytes(each) for each in shared] == [b"another part"]
+    assert bytes(pickle.loads(pickled, buffers=shared).content) == b"another part"

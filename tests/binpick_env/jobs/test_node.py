@@ -3,7 +3,7 @@
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import pytest
 
 from binpick_env.jobs import node
 from binpick_env.jobs.build import build
-from binpick_env.jobs.cluster_job import Job, Outcome
+from binpick_env.jobs.cluster_job import Job, Outcome, SentFile
 from binpick_env.jobs.workers import WorkerError
 from perception.runtime.file_work import FolderWork
 from perception.runtime.job_files import JobFiles, local_file, resolved_path, use_job_files
@@ -50,8 +50,20 @@ def write(folder: Path, index: int) -> str:
     return folder.name
 
 
-def compute(job: Job, index: int, key: str = "job") -> Outcome:
-    return node.compute(key, dict(build()), lambda: job, index)
+def read_both(shared: str, own: list[str], index: int) -> tuple[bytes, bytes, str, list[str]]:
+    """Return a file of the job, one of the index, its path, and what is there of those of all indices."""
+    path = Path(own[index])
+    there = [name for name in own if local_file(Path(name)).exists()]
+    return local_file(Path(shared)).read_bytes(), local_file(path).read_bytes(), resolved_path(path), there
+
+
+def fail_with_inputs(index: int) -> None:
+    assert local_file(Path("room 0.npz")).exists()
+    raise FloatingPointError("diverged")
+
+
+def compute(job: Job, index: int, key: str = "job", inputs: Sequence[SentFile] = ()) -> Outcome:
+    return node.compute(key, dict(build()), lambda: job, index, lambda: inputs)
 
 
 def test_a_file_is_read_though_it_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,6 +111,38 @@ def test_copies_that_a_cleaner_has_removed_are_written_again(fresh_node: Path, t
     (copy,) = fresh_node.rglob("gear.stl")
     copy.unlink()
     assert compute(job, 1, "another process").result[:2] == (1, b"a gear")
+
+
+@pytest.fixture
+def sent_rooms(tmp_path: Path) -> list[SentFile]:
+    """Two files that single indices read; they and a file of the job are gone when the job is computed."""
+    for k in range(2):
+        (tmp_path / "start" / f"room {k}.npz").write_bytes(b"room %d" % k)
+    return [SentFile.read(Path(f"room {k}.npz")) for k in range(2)]
+
+
+def test_the_files_of_an_index_are_there_for_it_alone(
+    fresh_node: Path, tmp_path: Path, sent_rooms: list[SentFile], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "start" / "gear.stl").write_bytes(b"a gear")
+    names = ["room 0.npz", "room 1.npz"]
+    job = Job.of(partial(read_both, "gear.stl", names), None, (), map(Path, names))
+    for path in (tmp_path / "start").iterdir():
+        path.unlink()
+    monkeypatch.chdir("/")
+    for index in (0, 1, 0):
+        path = str(tmp_path.resolve() / "start" / names[index])
+        found = compute(job, index, inputs=[sent_rooms[index]]).result
+        assert found == (b"a gear", b"room %d" % index, path, [names[index]])
+        assert list((fresh_node / "drafts").iterdir()) == []
+        assert local_file(Path(names[index])) == Path(names[index])
+
+
+def test_the_files_of_an_index_that_fails_are_removed(fresh_node: Path, sent_rooms: list[SentFile]) -> None:
+    with pytest.raises(FloatingPointError, match="diverged"):
+        compute(Job.of(fail_with_inputs, None, ()), 0, inputs=sent_rooms)
+    assert list((fresh_node / "drafts").iterdir()) == []
+    assert local_file(Path("room 0.npz")) == Path("room 0.npz")
 
 
 class _TwoArgumentsError(Exception):

@@ -13,6 +13,7 @@ import cv2
 import pytest
 
 from binpick_env.jobs.process_map import WorkerError, map_indices
+from perception.runtime.file_work import InputWork
 
 _start = "untouched"
 
@@ -65,6 +66,14 @@ def test_one_worker_computes_here_lazily_and_in_order() -> None:
     assert next(results) == 30
     assert seen == [3]
     assert list(results) == [10, 20]
+
+
+def test_files_of_single_indices_are_read_where_they_are(tmp_path: Path) -> None:
+    paths = [tmp_path / "a", tmp_path / "b"]
+    for path in paths:
+        path.write_text(path.name)
+    work = InputWork(lambda index: paths[index].read_text(), {k: [path] for k, path in enumerate(paths)})
+    assert list(map_indices(work, range(2), 1)) == ["a", "b"]
 
 
 def test_one_index_needs_no_process() -> None:

@@ -4,9 +4,11 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import trimesh
@@ -18,7 +20,14 @@ from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.workers import Cluster, WorkerError
 from binpick_env.parts.part import load_part
 from binpick_env.scenes.synthesis import SceneConfig, generate_scenes
-from perception.runtime.file_work import FolderWork
+from perception.runtime.file_work import FolderWork, InputWork, Run
+from perception.runtime.provenance import command_line, git_commit
+from perception.s3dis.data.prepare import prepare_rooms
+from perception.s3dis.data.raw_tree import find_raw_rooms
+from perception.s3dis.data.room import ROOMS_NOTE, find_rooms
+from perception.s3dis.evaluation.identities import predict_merged_ground_truth_blocks
+from perception.s3dis.scoring import S3disScores, match_rooms
+from perception.s3dis.synthesis import SynthesisConfig, synthesize_rooms
 from tests.binpick_env.jobs import cluster_works as works
 
 CLUSTER = Cluster(address="auto")
@@ -47,6 +56,10 @@ def test_workers_run_the_initializer_and_compute_on_one_core() -> None:
     assert all(set(result[3].values()) == {1} for result in results), results[0][3]
 
 
+def test_command_and_commit_are_those_of_the_machine_that_started_the_job() -> None:
+    assert list(map_indices(works.provenance, [0], CLUSTER)) == [(command_line(), git_commit())]
+
+
 def test_one_index_is_computed_on_the_cluster_and_none_needs_no_cluster() -> None:
     ((_, pid, _, _),) = map_indices(works.circumstances, [3], CLUSTER)
     assert pid != os.getpid()
@@ -59,6 +72,46 @@ def test_files_arrive_before_the_result(tmp_path: Path) -> None:
         assert (tmp_path / "kept" / "more" / f"first {index}.bin").read_bytes() == bytes(range(256))
         assert (tmp_path / "kept" / f"last {index}.txt").read_text(encoding="utf-8") == "ß" * index
     assert len(list((tmp_path / "kept").rglob("*.*"))) == 6  # no draft is left
+
+
+def test_files_arrive_with_the_index_that_reads_them_and_are_removed(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{k}.bin" for k in range(3)]
+    for k, path in enumerate(paths):
+        path.write_bytes(bytes([k]) * 300_000)  # too large to be sent within a task's description
+    work = InputWork(partial(works.read_own, paths), {k: [path] for k, path in enumerate(paths)})
+    for content, copy, there in map_indices(work, range(3), CLUSTER):
+        k = content[0]
+        assert content == paths[k].read_bytes()
+        assert there == [index == k for index in range(3)]
+        assert not copy.exists()
+
+
+@pytest.mark.slow
+def test_rooms_made_here_and_on_a_cluster_are_those_made_here(tmp_path: Path) -> None:
+    config = SynthesisConfig(density=20)
+    on_cluster: Run[Any] = partial(map_indices, workers=CLUSTER)
+    here, mixed = tmp_path / "here", tmp_path / "mixed"
+    made = sorted(synthesize_rooms(config, 3, here / "raw"))
+    list(synthesize_rooms(config, 1, mixed / "raw"))
+    (mixed / "raw" / "Area_2" / f".{Path(made[1]).name}.1").mkdir(parents=True)  # half of a room
+    assert sorted(synthesize_rooms(config, 3, mixed / "raw", on_cluster)) == made
+    raw = find_raw_rooms(here / "raw")
+    done = {room.name: room for room in prepare_rooms(raw, here / "rooms")}
+    list(prepare_rooms(raw[:1], mixed / "rooms"))
+    again = {room.name: room for room in prepare_rooms(find_raw_rooms(mixed / "raw"), mixed / "rooms", on_cluster)}
+    assert again == {**done, made[0]: replace(done[made[0]], new=False)}
+    files, others = contents(here), contents(mixed)
+    assert len(files) > 30
+    assert files == others
+    predict = predict_merged_ground_truth_blocks
+    scores = S3disScores.of(list(match_rooms(predict, find_rooms(here / "rooms"))))
+    assert S3disScores.of(list(match_rooms(predict, find_rooms(mixed / "rooms"), on_cluster))) == scores
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return the files in a folder, without the note that names the folder of the raw rooms."""
+    paths = [path for path in folder.rglob("*") if path.is_file() and path.name != ROOMS_NOTE]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
 @pytest.mark.slow
@@ -146,7 +199,9 @@ def test_an_error_of_the_work_is_raised_unchanged() -> None:
 
 
 def test_the_index_of_a_killed_worker_is_computed_again(tmp_path: Path) -> None:
-    assert sorted(map_indices(partial(works.die_once, tmp_path, 2), range(6), CLUSTER)) == list(range(6))
+    (tmp_path / "input").touch()
+    work = InputWork(partial(works.die_once, tmp_path, 2), {2: [tmp_path / "input"]})
+    assert sorted(map_indices(work, range(6), CLUSTER)) == list(range(6))
     assert (tmp_path / "died").exists()
 
 

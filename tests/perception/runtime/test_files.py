@@ -10,7 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perception.runtime.files import json_text, replace_atomically, write_atomically, write_bytes_atomically
+from perception.runtime.files import (
+    json_text,
+    make_folder_atomically,
+    replace_atomically,
+    write_atomically,
+    write_bytes_atomically,
+)
 
 ROOT = Path(__file__).parents[3]
 
@@ -113,3 +119,53 @@ def test_drafts_that_killed_processes_left_are_removed(tmp_path: Path) -> None:
     fresh.touch()
     write_atomically(tmp_path / "numbers[1].json", "{}")
     assert {path.name for path in tmp_path.iterdir()} == {"numbers[1].json", fresh.name, *(path.name for path in kept)}
+
+
+# --- folders ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_folder_appears_with_everything_in_it(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "room"
+
+    def write(draft: Path) -> None:
+        (draft / "a.txt").write_text("a")
+        assert not folder.exists()
+
+    assert make_folder_atomically(folder, write)
+    assert [path.name for path in folder.parent.rglob("*")] == ["room", "a.txt"]
+
+
+@pytest.mark.parametrize("error", [OSError("No space left on device"), KeyboardInterrupt()])
+def test_of_a_folder_that_fails_nothing_is_left(tmp_path: Path, error: BaseException) -> None:
+    def half(draft: Path) -> None:
+        (draft / "a.txt").write_text("a")
+        raise error
+
+    with pytest.raises(type(error)):
+        make_folder_atomically(tmp_path / "room", half)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_there_stays_and_a_file_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / "theirs").touch()
+    (tmp_path / "file").touch()
+    assert not make_folder_atomically(tmp_path / "room", lambda draft: (draft / "ours").touch())
+    with pytest.raises(NotADirectoryError):
+        make_folder_atomically(tmp_path / "file", lambda draft: None)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "room", "theirs"]
+
+
+def test_drafts_of_folders_that_killed_processes_left_are_removed_unless_they_are_written_now(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        ended.wait()
+    drafts = [tmp_path / f".room.{ended.pid + offset}" for offset in (0, 1_000_000)]
+    for draft in (*drafts, tmp_path / f".room.{os.getpid()}"):  # this process has the number of one that was killed
+        draft.mkdir()
+        (draft / "a.txt").touch()
+        os.utime(draft / "a.txt", (0, 0))
+        os.utime(draft, (0, 0))
+    os.utime(drafts[1] / "a.txt")  # of a process of another machine, perhaps
+    assert make_folder_atomically(tmp_path / "room", lambda draft: None)
+    assert {path.name for path in tmp_path.iterdir()} == {"room", drafts[1].name}
+    assert list((tmp_path / "room").iterdir()) == []

@@ -11,7 +11,7 @@ import trimesh
 from binpick_env.evaluation.segmentation.method import MethodConfig
 from binpick_env.parts.label import part_label
 from binpick_env.parts.part import load_part
-from perception.runtime.job_files import JobFile, JobFiles, local_file, resolved_path, use_job_files
+from perception.runtime.job_files import JobFile, JobFiles, find_files, local_file, resolved_path, use_job_files
 from perception.runtime.records import RecordFormat
 from perception.segmentation.weights import user_folder
 from policies.evaluation.config import EvaluationConfig
@@ -49,6 +49,29 @@ def test_other_files_are_where_they_are(send: Send, tmp_path: Path, monkeypatch:
     monkeypatch.chdir(tmp_path)
     assert local_file(Path("b.stl")) == Path("b.stl")
     assert resolved_path(Path("b.stl")) == str(tmp_path.resolve() / "b.stl")
+
+
+@pytest.mark.parametrize("folder", ["rooms", "/home/ada/job/rooms", "../../ada/job/rooms"])
+def test_the_files_of_a_folder_are_those_that_came(send: Send, folder: str) -> None:
+    for name in (
+        "rooms/b/2.npz",
+        "rooms/b/1.npz",
+        "rooms/a/3.npz",
+        "rooms/b/c/4.npz",
+        "rooms/b/5.txt",
+        "other/a/6.npz",
+    ):
+        send(name)
+    found = find_files(Path(folder), "*/*.npz")
+    assert found == [Path(folder) / name for name in ("a/3.npz", "b/1.npz", "b/2.npz")]
+    assert resolved_path(Path(folder)) == "/home/ada/job/rooms"
+    assert find_files(Path("elsewhere"), "*/*.npz") == []
+
+
+def test_without_a_job_the_files_of_a_folder_are_those_in_it(tmp_path: Path) -> None:
+    for name in ("2.npz", "1.npz", "3.txt"):
+        (tmp_path / name).touch()
+    assert find_files(tmp_path, "*.npz") == [tmp_path / "1.npz", tmp_path / "2.npz"]
 
 
 def test_without_a_job_paths_are_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from perception.runtime import provenance
-from perception.runtime.provenance import git_commit
+from perception.runtime.provenance import command_line, git_commit
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -33,3 +33,10 @@ def test_a_node_of_a_cluster_names_the_commit_of_the_job(monkeypatch: pytest.Mon
     assert git_commit.__wrapped__() == "0123456789ab-dirty"
     monkeypatch.setenv(provenance.COMMIT, "")  # a job that was started outside of a checkout
     assert git_commit.__wrapped__() == ""
+
+
+def test_a_node_of_a_cluster_names_the_command_of_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(provenance.sys, "argv", ["/usr/bin/binpick", "s3dis-table", "--steps", "3"])
+    assert command_line() == "binpick s3dis-table --steps 3"
+    monkeypatch.setenv(provenance.COMMAND, "binpick pick")
+    assert command_line() == "binpick pick"

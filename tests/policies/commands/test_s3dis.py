@@ -3,23 +3,32 @@
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
-from binpick_env.jobs import process_map
+from binpick_env.jobs import node, process_map
+from binpick_env.jobs.process_map import map_indices
+from binpick_env.jobs.workers import Cluster, WorkerError
+from perception.runtime.file_work import Run
 from perception.s3dis.data import raw_tree
 from perception.s3dis.data.categories import SCORED
 from perception.s3dis.data.dataset import BlockBatches
-from perception.s3dis.data.room import room_path
+from perception.s3dis.data.room import find_rooms, room_path
 from perception.s3dis.evaluation import table
 from perception.s3dis.evaluation.identities import ground_truth
+from perception.s3dis.evaluation.subject import Subject
+from perception.s3dis.predictor import RoomPredictor
 from perception.s3dis.presets import ROWS
+from perception.s3dis.scoring import S3disScores, match_rooms
 from perception.segmentation.training import distributed
 from perception.segmentation.training.distributed import Place
 from perception.segmentation.weights import load_network, load_record
 from policies.commands import s3dis, s3dis_table
+from tests.binpick_env.jobs.node_map import distant_node, node_map
 from tests.binpick_env.jobs.pickled_map import pickled_map
 from tests.perception.s3dis.s3dis_tree import LINES, told_by_colour_room, write_tree
 
@@ -122,6 +131,40 @@ def test_a_tree_of_another_seed_is_not_mixed(tmp_path: Path, capsys: pytest.Capt
     assert "seed: 31 there, 32 here" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["synthesize", "--out", "out", "--rooms", "1"],
+        ["prepare", "--raw", "raw", "--out", "out"],
+        ["evaluate", "--rooms", "rooms", "--weights", "weights.safetensors"],
+        ["s3dis-table", "--rooms", "rooms", "--steps", "1"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_rooms_are_computed_on_clusters(
+    arguments: list[str], small_rooms: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_tree(tmp_path / "raw", {"Area_1/office_1/chair_1": LINES})
+    places: list[Any] = []
+
+    def lost(work: Any, indices: Any, workers: Any) -> Iterator[Any]:
+        places.append(workers)
+        raise WorkerError("the cluster is lost")
+        yield
+
+    def predict(self: Any, device: str) -> Any:
+        assert device == "cpu"  # also where this machine has a GPU
+
+    monkeypatch.setattr(process_map, "map_indices", lost)
+    monkeypatch.setattr(s3dis, "_device", lambda: "cuda")
+    monkeypatch.setattr(Subject, "predict", predict)
+    command = s3dis_table.main if arguments[0] == "s3dis-table" else s3dis.main
+    given = arguments[1:] if arguments[0] == "s3dis-table" else arguments
+    assert command([*given, "--workers", "3", "--cluster", "local"]) == 2
+    assert places == [Cluster(address="local", workers=3)]
+
+
 def test_ctrl_c_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -198,6 +241,34 @@ def test_the_table_trains_every_row_and_is_not_mixed_with_another(
         assert sorted(trained) == sorted((row, 64) for row in ROWS)  # each once
     assert make("--steps", 2, "--seeds", 1) == 2
     assert "holds trainings of another configuration" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_training_on_a_node_is_the_one_made_here(
+    small_rooms: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(node.tempfile, "tempdir", str(tmp_path))
+    Path("link").symlink_to("rooms")
+    config = table.TableConfig(rooms=Path("link"), steps=1, seeds=1, points=32, batch=2, held_out=1)
+    (here,) = table.judge_rows(config, Path("here"), lambda work, indices: map_indices(work, indices[:1], 1))
+    on_node: Run[Any] = partial(node_map, cluster=Cluster())
+    with distant_node(small_rooms, Path("here")):
+        (there,) = table.judge_rows(config, Path("there"), lambda work, indices: on_node(work, indices[:1]))
+    assert (there.row, there.names) == (here.row, here.names) == (ROWS[0], ("Area_5/office_1",))
+    files = {path.relative_to("here") for path in Path("here").rglob("*") if path.is_file()}
+    assert files == {path.relative_to("there") for path in Path("there").rglob("*") if path.is_file()}
+    ours, theirs = (Path(name) / f"{ROWS[0]}-0" for name in ("here", "there"))
+    assert (ours / "scores.json").read_bytes() == (theirs / "scores.json").read_bytes()
+    first, second = (load_record(folder / "weights.safetensors") for folder in (ours, theirs))
+    assert first | {"minutes": 0} == second | {"minutes": 0}
+    assert first["rooms"] == str(small_rooms.resolve())
+    tensors, others = (load_network(folder / "weights.safetensors").state_dict() for folder in (ours, theirs))
+    assert all(torch.equal(tensors[name], others[name]) for name in tensors)
+    predict = RoomPredictor.from_file(ours / "weights.safetensors")
+    with distant_node(small_rooms, Path("here")):
+        (matches,) = match_rooms(predict, find_rooms(Path("rooms"), (5,)), on_node)
+    assert S3disScores.of([matches]).ap50 == S3disScores.of(here.matches).ap50
 
 
 @pytest.mark.slow

@@ -2,14 +2,19 @@
 
 import json
 import logging
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from binpick_env.jobs import node
+from binpick_env.jobs.workers import Cluster
+from perception.runtime.file_work import Run
 from perception.s3dis.data.annotation import RawDataError
 from perception.s3dis.data.prepare import PreparedRoom, prepare_rooms
 from perception.s3dis.data.raw_tree import find_raw_rooms
 from perception.s3dis.data.room import ROOMS_NOTE, Room
+from tests.binpick_env.jobs.node_map import distant_node, node_map
 from tests.perception.s3dis.s3dis_tree import LINES, write_tree
 
 TREE = {
@@ -74,6 +79,21 @@ def test_a_malformed_member_leaves_nothing_half_written(tmp_path: Path) -> None:
     assert left == ["Area_2/hallway_1.npz"]  # finished before; no office, no note, no draft
     write_tree(raw, {"Area_1/office_1/wall_1": LINES})
     assert not prepare(raw, out)["Area_2/hallway_1"].new
+
+
+def test_a_node_makes_a_room_of_files_that_it_does_not_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    raw = write_tree(tmp_path / "raw", TREE)
+    monkeypatch.setattr(node.tempfile, "tempdir", str(tmp_path))
+    on_node: Run[PreparedRoom] = partial(node_map, cluster=Cluster())
+    here, there = prepare(raw, tmp_path / "here"), tmp_path / "there"
+    with distant_node(raw):
+        assert {room.name: room for room in prepare_rooms(find_raw_rooms(raw), there, on_node)} == here
+        assert not any(room.new for room in prepare_rooms(find_raw_rooms(raw), there, on_node))
+        for name in here:
+            assert (there / f"{name}.npz").read_bytes() == (tmp_path / "here" / f"{name}.npz").read_bytes()
+        write_tree(raw, {"Area_1/office_1/wall_1": "1 2 3\n"})
+        with pytest.raises(RawDataError, match=rf"^{raw}/Area_1/office_1/Annotations/wall_1\.txt, line 1 holds not 6"):
+            list(prepare_rooms(find_raw_rooms(raw), there, on_node))
 
 
 def test_the_same_tree_gives_the_same_bytes(tmp_path: Path) -> None:

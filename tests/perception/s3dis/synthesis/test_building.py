@@ -1,10 +1,16 @@
 """Synthetic rooms: determinism, the on-disk format, and that things are where they ought to be."""
 
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from binpick_env.jobs import node
+from binpick_env.jobs.workers import Cluster
+from perception.runtime import file_work
+from perception.runtime.file_work import Run
 from perception.s3dis.data.categories import CATEGORIES, SCORED
 from perception.s3dis.data.raw_tree import find_raw_rooms
 from perception.s3dis.data.room import Room
@@ -14,6 +20,7 @@ from perception.s3dis.synthesis import building as synthesis
 from perception.s3dis.synthesis.building import SynthesisConfig, make_room, room_name, synthesize_rooms
 from perception.s3dis.synthesis.furnishing import KINDS, make_interior
 from perception.s3dis.synthesis.solids import Brush, joined, moved
+from tests.binpick_env.jobs.node_map import node_map
 
 SPARSE = SynthesisConfig(seed=31, density=60)
 
@@ -133,6 +140,41 @@ def test_rooms_that_are_there_are_kept_and_no_half_one_is_left(tmp_path: Path, m
     assert kept.stat().st_mtime_ns == before
     assert list((tmp_path / "Area_2").iterdir()) == []
     assert len(list(synthesize_rooms(SPARSE, 2, tmp_path))) == 2
+
+
+def test_half_a_room_that_a_node_has_sent_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(node.tempfile, "tempdir", str(tmp_path))
+    on_node: Run[str] = partial(node_map, cluster=Cluster())
+    write, written = file_work.write_bytes_atomically, []
+
+    def stopped(path: Path, content: bytes) -> None:
+        written.append(path.name)
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        write(path, content)
+
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(file_work, "write_bytes_atomically", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            list(synthesize_rooms(SPARSE, 1, out, on_node))
+    assert list(out.rglob("*.txt")) == []
+    assert list(synthesize_rooms(SPARSE, 1, out, on_node)) == list(synthesize_rooms(SPARSE, 1, tmp_path / "here"))
+    texts = {path.relative_to(out): path.read_bytes() for path in out.rglob("*.txt")}
+    assert set(written[:2]) < {path.name for path in texts}
+    assert texts == {path: (tmp_path / "here" / path).read_bytes() for path in texts}
+
+
+def test_rooms_that_are_there_are_not_sent_to_a_cluster(tmp_path: Path) -> None:
+    (first,) = synthesize_rooms(SPARSE, 1, tmp_path)
+    sent: list[int] = []
+
+    def run(work: Callable[[int], str], indices: Sequence[int]) -> Iterator[str]:
+        sent.extend(indices)
+        return map(work, indices)
+
+    assert list(synthesize_rooms(SPARSE, 2, tmp_path, run)) == [first, room_name(SPARSE, 1)]
+    assert sent == [1]
 
 
 def test_true_blocks_of_furnished_rooms_merge_back() -> None:
