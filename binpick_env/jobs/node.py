@@ -28,7 +28,7 @@ from perception.runtime.file_work import FolderWork
 from perception.runtime.job_files import JobFile, JobFiles, use_job_files
 from perception.runtime.threads import one_core
 
-_LEFT_OVER = 86_400.0  # age from which the folder of a killed worker is removed [s]
+_LEFT_OVER = 60.0  # age from which a folder that no worker holds is that of a killed one, and is removed [s]
 _UNUSED = 30 * 86_400.0  # time after the last start of a worker from which the files of a job are removed [s]
 
 
@@ -178,11 +178,13 @@ def _write(path: Path, content: bytes) -> None:
 
 @contextmanager
 def _draft_folder() -> Iterator[Path]:
-    """Make an empty folder, and remove it afterwards."""
+    """Make an empty folder, hold it, and remove it afterwards."""
     drafts = node_folder() / "drafts"
     drafts.mkdir(exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=drafts) as name:
-        yield Path(name)
+    with tempfile.TemporaryDirectory(dir=drafts) as name, _held(Path(name) / "lock"):
+        folder = Path(name) / "files"
+        folder.mkdir()
+        yield folder
 
 
 def _in_own_folder(work: FolderWork[Any], index: int) -> Outcome:
@@ -199,7 +201,7 @@ def _remove_left_over() -> None:
     for kind, age in (("drafts", _LEFT_OVER), ("inputs", _UNUSED)):
         for folder in (node_folder() / kind).glob("*"):
             with suppress(FileNotFoundError):  # another worker removes it, too
-                if time.time() - folder.stat().st_mtime > age:
+                if time.time() - folder.stat().st_mtime > age and not _is_held(folder / "lock"):
                     shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -223,7 +225,26 @@ def _compiled_once(name: str) -> Iterator[None]:
 
 @contextmanager
 def _locked(name: str) -> Iterator[None]:
-    """Keep other processes of this node out; the lock of a process that is killed is released."""
-    with (node_folder() / f"{name}.lock").open("w") as file:
+    """Keep other processes of this node out."""
+    with _held(node_folder() / f"{name}.lock"):
+        yield
+
+
+@contextmanager
+def _held(lock: Path) -> Iterator[None]:
+    """Hold a lock, which is released when the process is killed."""
+    with lock.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
+
+
+def _is_held(lock: Path) -> bool:
+    """Tell whether a process holds a lock; nobody holds one that is not there."""
+    try:
+        with lock.open("r+") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return False
+    except BlockingIOError:
+        return True
+    return False

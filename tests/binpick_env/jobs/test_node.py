@@ -194,13 +194,17 @@ def test_a_folder_of_another_user_is_refused(monkeypatch: pytest.MonkeyPatch) ->
         node.node_folder()
 
 
-def test_folders_of_killed_workers_are_removed_after_a_day(fresh_node: Path) -> None:
-    old, new = (node.node_folder() / "drafts" / name for name in ("old", "new"))
-    for folder in (old, new):
-        folder.mkdir(parents=True)
-    os.utime(old, (time.time() - 100_000,) * 2)
-    compute(Job.of(abs, None, ()), -1)
-    assert [path.name for path in (fresh_node / "drafts").iterdir()] == ["new"]
+def test_folders_of_killed_workers_are_removed_and_those_of_others_stay_however_old(fresh_node: Path) -> None:
+    killed, starting = (node.node_folder() / "drafts" / name for name in ("killed", "starting"))
+    with node._draft_folder() as folder:
+        for each in (killed, starting):
+            each.mkdir()
+        (killed / "lock").touch()
+        for each in (killed, folder.parent):
+            os.utime(each, (time.time() - 1_000_000,) * 2)
+        compute(Job.of(abs, None, ()), -1)
+        assert {path.name for path in (fresh_node / "drafts").iterdir()} == {folder.parent.name, "starting"}
+        assert list(folder.iterdir()) == []
 
 
 def test_files_of_jobs_that_have_not_run_for_a_month_are_removed(fresh_node: Path, tmp_path: Path) -> None:
