@@ -72,8 +72,8 @@ def map_on_cluster(
     if not indices:
         return
     work, inputs = without_inputs(work)
-    job = Job.of(work, initializer, initargs, (path for paths in inputs.values() for path in paths))
-    started = _Started(_join(cluster), job, inputs)
+    ray, sent_apart = _join(cluster), (path for paths in inputs.values() for path in paths)
+    started = _Started(ray, Job.of(work, initializer, initargs, sent_apart), inputs)  # no name keeps the job
     todo, lost = deque(indices), Counter[int]()
     try:
         while todo or started.indices:

@@ -9,8 +9,8 @@ from typing import Generic, TypeVar
 from perception.runtime.files import make_folder_atomically, write_bytes_atomically
 
 Result = TypeVar("Result")
-# Maps work over indices, in any order, in any process. Built-in map does; so does binpick_env.jobs.map_indices, which
-# also does it on clusters if files of the work are those of a FolderWork or an InputWork.
+# Maps work over indices, in any order and any process, as `map` and binpick_env.jobs.map_indices do. The latter also
+# computes on clusters, where work that writes files is a FolderWork, and work that reads large ones an InputWork.
 Run = Callable[[Callable[[int], Result], Sequence[int]], Iterator[Result]]
 
 
