@@ -122,6 +122,7 @@ class RobotConfig:
     pedestal_height: float = 0.15  # height of the arm's base above the table [m]
     max_velocity: float = np.pi  # largest velocity of a joint [rad/s]: the UR5e's data sheet, 180 deg/s
     max_acceleration: float = 8.0  # largest acceleration of a joint [rad/s^2]; torques would allow more near the base
+    max_jerk: float | None = None  # largest jerk of a joint in planned motions [rad/s^3]; None for no limit
     gripper_time: float = 0.57  # time that the jaw takes for its whole stroke [s]: the 2F-85's data sheet, 150 mm/s
     protective_stop: float | None = 150.0  # force at the tool at which the arm stops [N]: the UR5e's; None for no stop
     jaw: float | None = None  # largest opening of the jaw [m]; None for the gripper's own stroke of 0.085 m
@@ -130,6 +131,8 @@ class RobotConfig:
         _require_numbers(self)
         for name in ("pedestal_height", "max_velocity", "max_acceleration", "gripper_time"):
             _require(getattr(self, name) > 0, f"{name} must be positive, got {getattr(self, name)}")
+        jerk = self.max_jerk
+        _require(jerk is None or jerk > 0, f"max_jerk must be positive, or None for no limit, got {jerk}")
         stop = self.protective_stop
         _require(stop is None or stop > 0, f"protective_stop must be positive, or None for no stop, got {stop}")
         stroke = f"must be over 0 and at most {GRIPPER_STROKE} m, the 2F-85's stroke"

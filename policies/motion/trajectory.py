@@ -3,7 +3,8 @@
 Timing is TOPP-RA's (Pham and Pham, "A New Approach to Time-Optimal Path Parameterization Based on Reachability
 Analysis", IEEE T-RO 2018), in the package toppra: 3 ms for a path of 100 knots, exact limits, no stop between legs.
 Ruckig times waypoints, not curves, and would leave a straight line. A trapezoid on the path's length has to obey the
-worst curvature everywhere.
+worst curvature everywhere. TOPP-RA knows no limit of jerk; where one is set, :mod:`policies.motion.jerk` takes its
+timing on.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from toppra.constraint import JointAccelerationConstraint, JointVelocityConstrai
 
 from binpick_env.config import CONTROL_PERIOD, RobotConfig
 from perception.geometry import Floats, require_shape
+from policies.motion.jerk import PathLimits, Progress, limit_jerk
 from policies.motion.planning_scene import DOF
 
 _KNOT_SPACING = 0.04  # distance between knots of smooth paths, Euclidean in joint space [rad]
@@ -125,8 +127,8 @@ def time_path(
 
     Args:
         path: Curve that is run from rest to rest.
-        limits: Largest joint velocity and acceleration.
-        scale: Share of both limits to use, in (0, 1].
+        limits: Largest joint velocity, acceleration and, where it is limited, jerk.
+        scale: Share of these limits to use, in (0, 1].
         period: Time between samples [s].
 
     Returns:
@@ -144,9 +146,14 @@ def time_path(
     curve = SplineInterpolator(s, q)
     grid = _with_middles(s, 0.5 * (s[:-1] + s[1:]))
     velocity = limits.max_velocity * _with_middles(speed, np.minimum(speed[:-1], speed[1:]))
-    rate = _path_rate(curve, grid, _RESERVE * scale * velocity, acceleration)
+    velocity = _RESERVE * scale * velocity
+    rate = _path_rate(curve, grid, velocity, acceleration)
     if rate is None:
         return None
+    if limits.max_jerk is not None:
+        jerk = _RESERVE * scale * limits.max_jerk
+        bounds = PathLimits(curve=curve.cspl, s=grid, velocity=velocity, acceleration=acceleration, jerk=jerk)
+        return _with_limited_jerk(path, bounds, limit_jerk(bounds, rate), s[[kept[end] for end in path.ends]], period)
     arrival = np.concatenate([[0.0], np.cumsum(2 * np.diff(grid) / (rate[:-1] + rate[1:]))])
     steps = max(int(np.ceil(arrival[-1] / period - 1e-9)), 1)
     t = period * np.arange(steps + 1, dtype=np.float64)
@@ -156,6 +163,29 @@ def time_path(
     positions, velocities = curve(at), curve(at, 1) * speed_at[:, None]
     positions[[0, -1]], velocities[[0, -1]] = path.q[[0, -1]], 0.0
     marks = tuple(min(int(np.ceil(arrival[2 * kept[end]] / period - 1e-6)), steps) for end in path.ends)
+    return Trajectory(t=t, q=positions, qd=velocities, marks=marks)
+
+
+def _with_limited_jerk(
+    path: JointPath, bounds: PathLimits, progress: Progress, ends: Floats, period: float
+) -> Trajectory:
+    """Sample a timing of a path that is stretched to a whole number of control periods.
+
+    Args:
+        path: The path.
+        bounds: The curve through its knots.
+        progress: Path length over time.
+        ends: Path lengths at the ends of the legs [rad].
+        period: Time between samples [s].
+    """
+    steps = max(int(np.ceil(progress.duration / period - 1e-9)), 1)
+    t = period * np.arange(steps + 1, dtype=np.float64)
+    slower = steps * period / progress.duration
+    at, speed_at = progress(t / slower)[:2]
+    at = np.clip(at, 0.0, bounds.s[-1])
+    positions, velocities = bounds.curve(at), bounds.curve(at, 1) * speed_at[:, None] / slower
+    positions[[0, -1]], velocities[[0, -1]] = path.q[[0, -1]], 0.0
+    marks = tuple(min(int(mark), steps) for mark in np.searchsorted(at, ends - 1e-6))
     return Trajectory(t=t, q=positions, qd=velocities, marks=marks)
 
 
