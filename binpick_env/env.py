@@ -101,6 +101,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
     | `sensor` | `"good"` | depth noise: `"none"`, `"good"`, `"harsh"`, `"stereo"`, `"tof"` |
     | `bin` | `None` | length, width and height inside the bin [m]; (0.36, 0.26, 0.12) unless given |
     | `jaw` | `None` | largest opening of the jaw [m], at most the 2F-85's 0.085; action 0 opens it that far |
+    | `max_acceleration` | `None` | largest acceleration of a joint in planned motions [rad/s^2]; 8 unless given |
+    | `max_jerk` | `None` | largest jerk of a joint in planned motions [rad/s^3]; no limit unless given |
     | `friction` | `None` | sliding friction coefficient of parts, bin and tray; 0.5 unless given |
     | `camera_distance` | `None` | distance of the camera from the bin's floor [m]; 0.9 unless given |
     | `width` | `None` | width of the image [px]; 1280 unless given |
@@ -144,6 +146,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         symmetry_tolerance: float | None = None,
         bin: tuple[float, float, float] | None = None,
         jaw: float | None = None,
+        max_acceleration: float | None = None,
+        max_jerk: float | None = None,
         camera_distance: float | None = None,
         width: int | None = None,
         height: int | None = None,
@@ -157,6 +161,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         cell = {
             "bin": bin,
             "jaw": jaw,
+            "max_acceleration": max_acceleration,
+            "max_jerk": max_jerk,
             "camera_distance": camera_distance,
             "width": width,
             "height": height,
@@ -226,12 +232,8 @@ class BinPickEnv(EpisodeProperties, gym.Env[Observation, NDArray[np.float32]], E
         spread, turn = self.config.camera.hand_eye, self.config.calibration.rotation
         hand_eye = self.np_random.normal(scale=spread, size=3) if spread > 0 else np.zeros(3)
         rotation = self.np_random.normal(scale=turn, size=3) if turn > 0 else np.zeros(3)
-        self._episode = EpisodeState(
-            total=count,
-            hand_eye=hand_eye,
-            frame=self._take_frame((hand_eye, rotation), number=0),
-            hand_eye_rotation=rotation,
-        )
+        frame = self._take_frame((hand_eye, rotation), number=0)
+        self._episode = EpisodeState(total=count, hand_eye=hand_eye, frame=frame, hand_eye_rotation=rotation)
         return self._observation(), self._info([])
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

@@ -5,7 +5,8 @@ from dataclasses import fields
 
 from binpick_env.options import CellOptions
 
-_NOT_SCENES = ("jaw", "hand_eye_mm", "hand_eye_deg", "trust")  # options that do not change a scene
+# options that do not change a scene
+_NOT_SCENES = ("jaw", "max_acceleration", "max_jerk", "hand_eye_mm", "hand_eye_deg", "trust")
 _NOT_TRAINING = (*_NOT_SCENES, "sensor")  # options that binpick train-segmentation does not have
 
 

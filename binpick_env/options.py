@@ -35,7 +35,8 @@ _CAMERA_MM = 100.0  # no camera is so far from a bin: such a distance is no metr
 _PEDESTAL_HALF = 0.09  # half the side of the robot's pedestal, which stands at the world's origin [m]
 # The arguments of an environment that hold other options: what may not be given beside them.
 _IN_CAMERA = ("camera_distance", "width", "height", "backend", "hand_eye_mm")
-_IN_CONFIG = ("bin", "jaw", "friction", "hand_eye_deg", "trust", *_IN_CAMERA)
+_OF_ROBOT = ("jaw", "max_acceleration", "max_jerk")
+_IN_CONFIG = ("bin", *_OF_ROBOT, "friction", "hand_eye_deg", "trust", *_IN_CAMERA)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +51,9 @@ class CellOptions:
     symmetry_tolerance: float | None = None
     bin: tuple[float, float, float] | None = None  # length, width, height inside the bin [m]; the standard bin's
     jaw: float | None = None  # largest opening of the jaw [m]; the gripper's own unless given
+    # largest acceleration of a joint in planned motions [rad/s^2]; the cell's own unless given
+    max_acceleration: float | None = None
+    max_jerk: float | None = None  # largest jerk of a joint in planned motions [rad/s^3]; no limit unless given
     camera_distance: float = 0.9  # distance of the camera from the bin's floor [m]
     width: int = 1280  # width of the image [px]
     height: int = 960  # height of the image [px]
@@ -91,7 +95,7 @@ class CellOptions:
             raise ValueError(f"hand_eye_deg must be from 0 to {MAX_HAND_EYE_DEG:g} degrees, got {self.hand_eye_deg}")
         if self.friction is not None and not 0 <= self.friction <= MAX_FRICTION:
             raise ValueError(f"friction must be from 0 to {MAX_FRICTION:g}, got {self.friction}")
-        self.cell()  # what the cell's own settings refuse: jaw, image size, backend
+        self.cell()  # what the cell's own settings refuse: jaw, acceleration, jerk, image size, backend
 
     def load_part(self) -> "Part":
         """Load the part. The log says if it fits no jaw.
@@ -129,6 +133,7 @@ class CellOptions:
         standard, contact = BinConfig(), ContactConfig()
         if self.friction is not None:
             contact = replace(contact, friction=(self.friction, *contact.friction[1:]))
+        robot = {name: getattr(self, name) for name in _OF_ROBOT if getattr(self, name) is not None}
         camera = CameraConfig(
             width=self.width,
             height=self.height,
@@ -138,7 +143,7 @@ class CellOptions:
         )
         return CellConfig(
             bin=standard if self.bin is None else replace(standard, inner_size=(self.bin[0], self.bin[1], self.bin[2])),
-            robot=RobotConfig(jaw=self.jaw),
+            robot=RobotConfig(**robot),
             contact=contact,
             camera=camera,
             calibration=CalibrationConfig(rotation=float(np.deg2rad(self.hand_eye_deg)), trust=self.trust),
@@ -147,7 +152,7 @@ class CellOptions:
 
 def evaluated(options: CellOptions) -> dict[str, Any]:
     """Return options as the fields of an evaluation of picks, which has the camera as a whole."""
-    names = ("part", "unit", "symmetry", "symmetry_tolerance", "density", "bin", "jaw", "sensor", "friction")
+    names = ("part", "unit", "symmetry", "symmetry_tolerance", "density", "bin", *_OF_ROBOT, "sensor", "friction")
     values = {name: getattr(options, name) for name in names}
     calibration = {"hand_eye_deg": options.hand_eye_deg or None, "trust": "bin" if options.trust == "bin" else None}
     return {**values, **calibration, "camera": options.cell().camera}

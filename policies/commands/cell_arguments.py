@@ -72,6 +72,10 @@ class CellArguments(SceneArguments):
     """What lies in which bin under which camera, and is picked by which jaw."""
 
     jaw: float | None = None  # largest opening of the jaw [m]; the gripper's own 0.085 unless given
+    max_acceleration: float | None = (
+        None  # largest acceleration of a joint in planned motions [rad/s^2]; 8 if not given
+    )
+    max_jerk: float | None = None  # largest jerk of a joint in planned motions [rad/s^3]; no limit unless given
     sensor: SensorPreset = "good"  # noise of the depth camera
     hand_eye_mm: float = 0.0  # error of the camera's reported position, standard deviation per axis [mm]
     hand_eye_deg: float = 0.0  # error of the camera's reported orientation, standard deviation per axis [deg]

@@ -34,6 +34,10 @@ def conditions(config: Mapping[str, Any], weights: Mapping[str, Any] | None = No
         facts.append("bin " + " x ".join(f"{1000 * edge:g}" for edge in size) + " mm")
     if jaw := config.get("jaw"):
         facts.append(f"jaw {1000 * jaw:g} mm")
+    if acceleration := config.get("max_acceleration"):
+        facts.append(f"acceleration {acceleration:g} rad/s^2")
+    if jerk := config.get("max_jerk"):
+        facts.append(f"jerk {jerk:g} rad/s^3")
     if (friction := config.get("friction")) is not None:
         facts.append(f"friction {friction:g}")
     return tuple(facts)

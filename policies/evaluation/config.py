@@ -25,7 +25,7 @@ from policies.picking.settings import PickerSettings
 
 _log = logging.getLogger(__name__)
 # Fields that the digest leaves out where they are None, so that folders of older runs keep their digest.
-_NEWER_FIELDS = ("jaw", "friction", "symmetry_tolerance", "hand_eye_deg", "trust")
+_NEWER_FIELDS = ("jaw", "friction", "symmetry_tolerance", "hand_eye_deg", "trust", "max_acceleration", "max_jerk")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +51,9 @@ class EvaluationConfig:
     # error of the camera's reported orientation, standard deviation per axis [deg]; None is none
     hand_eye_deg: float | None = None
     trust: Trust | None = None  # "bin" corrects the camera's reported pose by the bin in its frames; None does not
+    # largest acceleration of a joint in planned motions [rad/s^2]; None is the cell's own
+    max_acceleration: float | None = None
+    max_jerk: float | None = None  # largest jerk of a joint in planned motions [rad/s^3]; None is no limit
     network: NetworkName = "grid"  # kind of the segmentation network where perception is "learned"
 
     def __post_init__(self) -> None:
@@ -84,6 +87,8 @@ class EvaluationConfig:
             symmetry_tolerance=self.symmetry_tolerance,
             bin=self.bin,
             jaw=self.jaw,
+            max_acceleration=self.max_acceleration,
+            max_jerk=self.max_jerk,
             camera_distance=self.camera.distance,
             sensor=self.sensor,
             friction=self.friction,

@@ -222,9 +222,7 @@ def _stretches(limits: PathLimits, progress: Progress, period: float) -> tuple[F
     return s, velocity / limits.velocity_at(s), of_acceleration, of_jerk
 
 
-def joint_rates(
-    curve: CubicSpline, s: Floats, ds: Floats, dds: Floats, ddds: Floats
-) -> tuple[Floats, Floats, Floats]:
+def joint_rates(curve: CubicSpline, s: Floats, ds: Floats, dds: Floats, ddds: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the (T, 6) velocities, accelerations and jerks of the joints where a path is run.
 
     Args:

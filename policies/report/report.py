@@ -229,6 +229,7 @@ def _settings(config: Mapping[str, Any]) -> str:
     """Return every setting of cell, camera and picker in one table."""
     cell = CellConfig()
     standard = {"bin": cell.bin.inner_size, "jaw": GRIPPER_STROKE, "friction": cell.contact.friction[0]}
+    standard["max_acceleration"] = cell.robot.max_acceleration
     values = {name: standard.get(name) if value is None else value for name, value in config.items()}
     words = {name: _words(value, name in _RANGES) for name, value in flat_settings(values).items()}
     rows = [[escape(name), f"<code>{escape(value)}</code>"] for name, value in words.items()]

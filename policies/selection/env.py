@@ -109,7 +109,7 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
     | name | default | meaning |
     | --- | --- | --- |
     | `part`, `unit`, `symmetry`, `symmetry_tolerance`, `density`, `num_parts`, `perception`, `network`, `sensor`, `pose_noise`, `threads`, `render_mode` | | as `BinPick-v0`'s |
-    | `bin`, `jaw`, `friction`, `camera_distance`, `width`, `height`, `backend`, `hand_eye_mm`, `hand_eye_deg`, `trust`, `camera`, `config` | `None` | as `BinPick-v0`'s: options of the cell one by one, its camera, or the whole cell |
+    | `bin`, `jaw`, `max_acceleration`, `max_jerk`, `friction`, `camera_distance`, `width`, `height`, `backend`, `hand_eye_mm`, `hand_eye_deg`, `trust`, `camera`, `config` | `None` | as `BinPick-v0`'s: options of the cell one by one, its camera, or the whole cell |
     | `max_failures` | `2` | consecutive failures that end the bin; `None` for no limit |
     | `per_part` | `3` | largest number of candidates on one part |
     | `picker` | `None` | a `PickerSettings`: settings of ranking and execution; nothing is pushed or put back |
@@ -143,6 +143,8 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
         symmetry_tolerance: float | None = None,
         bin: tuple[float, float, float] | None = None,
         jaw: float | None = None,
+        max_acceleration: float | None = None,
+        max_jerk: float | None = None,
         camera_distance: float | None = None,
         width: int | None = None,
         height: int | None = None,
@@ -169,6 +171,8 @@ class GraspSelectionEnv(gym.Env[Observation, np.int64], EzPickle):
             "symmetry_tolerance": symmetry_tolerance,
             "bin": bin,
             "jaw": jaw,
+            "max_acceleration": max_acceleration,
+            "max_jerk": max_jerk,
             "camera_distance": camera_distance,
             "width": width,
             "height": height,

@@ -55,6 +55,8 @@ def test_settings_are_frozen_and_given_by_name(kind: type) -> None:
         (lambda: TrayConfig(wall=0.0), r"wall must be positive, got 0\.0"),
         (lambda: RobotConfig(max_velocity=0.0), r"max_velocity must be positive, got 0\.0"),
         (lambda: RobotConfig(protective_stop=0.0), r"protective_stop must be positive, or None for no stop, got 0\.0"),
+        (lambda: RobotConfig(max_jerk=0.0), r"max_jerk must be positive, or None for no limit, got 0\.0"),
+        (lambda: RobotConfig(max_jerk=np.inf), "max_jerk must be finite, got inf"),
         (lambda: RobotConfig(jaw=0.0), r"jaw must be over 0 and at most 0\.085 m, the 2F-85's stroke, got 0\.0"),
         (lambda: RobotConfig(jaw=0.1), r"jaw must be over 0 and at most 0\.085 m, the 2F-85's stroke, got 0\.1"),
         (lambda: ContactConfig(condim=5), "condim must be 1, 3, 4 or 6, got 5"),

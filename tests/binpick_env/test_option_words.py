@@ -14,6 +14,8 @@ OPTIONS = CellOptions(
     density=7800.0,
     bin=(0.3, 0.2, 0.1),
     jaw=0.05,
+    max_acceleration=4.0,
+    max_jerk=50.0,
     sensor="tof",
     camera_distance=1.0,
 )

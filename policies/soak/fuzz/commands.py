@@ -24,6 +24,7 @@ _COMMANDS = (
 _OPTIONS = (
     "--part", "--bins", "--seed", "--count", "--workers", "--out", "--json", "--unit", "--symmetry", "--density",
     "--bin", "--friction", "--camera-distance", "--width", "--height", "--jaw", "--sensor", "--hand-eye-mm", "--trust",
+    "--max-acceleration", "--max-jerk",
     "--perception", "--network", "--min-parts", "--max-parts", "--minutes", "--steps", "--scenes", "--weights",
     "--calibration", "--camera-pose", "--bin-pose", "--teapot", "--help", "bandit", "ppo", "cell", "one", "two",
 )  # fmt: skip

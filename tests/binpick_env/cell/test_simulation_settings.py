@@ -135,9 +135,9 @@ SETTINGS = {
     "timestep": (0.004, length_of_ten_steps, (0.4, 10)),
 }
 SETTINGS["bin.position"] = (*SETTINGS["bin.position"][:2], (0.26, 0.36, *HERE))
-# The first is the planner's, see tests/policies/motion; the camera's are in test_env_observations.py, and the
+# The first two are the planner's, see tests/policies/motion; the camera's are in test_env_observations.py, and the
 # calibration's, which the physics do not know, in test_options.py.
-ELSEWHERE = {"robot.max_acceleration", "camera", "calibration"}
+ELSEWHERE = {"robot.max_acceleration", "robot.max_jerk", "camera", "calibration"}
 
 
 @pytest.mark.slow

@@ -148,12 +148,14 @@ def test_what_makes_bins_hard_arrives(capsys: pytest.CaptureFixture[str]) -> Non
             assert _training([method, *size]).cells().bin == (0.3, 0.2, 0.15)
     assert _evaluation([]).config().bin is None
     assert _training(["ppo"]).cells().bin is None
-    hard = ["--hand-eye-mm", "10", "--sensor", "harsh", "--jaw", "0.07", "--friction", "0.3"]
+    hard = ["--hand-eye-mm", "10", "--sensor", "harsh", "--jaw", "0.07", "--friction", "0.3", "--max-jerk", "50"]
     config = _evaluation(hard).config()
     assert (config.camera.hand_eye, config.sensor, config.jaw, config.friction) == (0.01, "harsh", 0.07, 0.3)
+    assert config.max_jerk == 50.0
     for method in ("ppo", "bandit"):
         cells = _training([method, *hard]).cells()
         assert (cells.hand_eye_mm, cells.sensor, cells.jaw, cells.friction) == (10.0, "harsh", 0.07, 0.3)
+        assert cells.max_jerk == 50.0
     assert capsys.readouterr().err == ""
 
 

@@ -37,6 +37,8 @@ def test_the_digest_sees_every_setting() -> None:
         "symmetry_tolerance": 0.001,
         "hand_eye_deg": 1.0,
         "trust": "bin",
+        "max_acceleration": 4.0,
+        "max_jerk": 50.0,
         "network": "dgcnn-context",
     }
     digests = {dataclasses.replace(CONFIG, **{name: value}).digest() for name, value in changes.items()}
@@ -70,8 +72,10 @@ def test_the_digests_of_earlier_versions_are_kept() -> None:
 
 def test_every_setting_of_the_cell_arrives_in_its_config() -> None:
     camera = CameraConfig(width=640, height=480, focal=2000.0, distance=0.8)
-    cell = EvaluationConfig(bin=(0.3, 0.2, 0.1), jaw=0.06, friction=0.3, camera=camera).cell()
+    limits = {"max_acceleration": 4.0, "max_jerk": 50.0}
+    cell = EvaluationConfig(bin=(0.3, 0.2, 0.1), jaw=0.06, friction=0.3, camera=camera, **limits).cell()
     assert (cell.bin.inner_size, cell.robot.jaw, cell.contact.friction[0]) == ((0.3, 0.2, 0.1), 0.06, 0.3)
+    assert (cell.robot.max_acceleration, cell.robot.max_jerk) == (4.0, 50.0)
     assert cell.camera == camera
     assert EvaluationConfig().cell() == CellConfig()
 

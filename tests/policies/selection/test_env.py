@@ -107,6 +107,7 @@ def test_every_option_of_the_cell_is_taken() -> None:
 def test_options_of_the_cell_arrive() -> None:
     options: dict[str, Any] = {"density": 1000.0, "symmetry": "none", "bin": (0.3, 0.2, 0.1), "jaw": 0.07}
     options |= {"camera_distance": 0.8, "width": 640, "height": 480, "hand_eye_mm": 5.0, "friction": 0.3}
+    options |= {"max_acceleration": 4.0, "max_jerk": 50.0}
     env = GraspSelectionEnv(part="tee", **SMALL | {"camera": None}, **options)
     expected = CellOptions(part="tee", **options)
     for made in (env, pickle.loads(pickle.dumps(env))):
