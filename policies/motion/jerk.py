@@ -148,10 +148,11 @@ class _Programs:
         value = stencil(zero, zero + 1.0, zero)
         slope = stencil(-after / (before * span), (after - before) / (before * after), before / (after * span))
         bend = stencil(2 / (before * span), -2 / (before * after), 2 / (after * span))
+        slopes = stencil(-1 / before, 1 / before, zero), stencil(zero, -1 / after, 1 / after)  # backward and forward
         first, second, third = (limits.curve(s, n)[1:-1] for n in (1, 2, 3))
         third = _larger(limits.curve(s - 1e-9, 3)[1:-1], third)  # constant between knots
         joints = range(first.shape[1])
-        acceleration = [diags(second[:, j]) @ value + diags(first[:, j] / 2) @ slope for j in joints]
+        acceleration = [diags(second[:, j]) @ value + diags(first[:, j] / 2) @ each for each in slopes for j in joints]
         jerk = [
             diags(third[:, j]) @ value + diags(1.5 * second[:, j]) @ slope + diags(first[:, j] / 2) @ bend
             for j in joints
@@ -177,7 +178,8 @@ class _Programs:
         # J / sqrt(b) lies above its tangent J / sqrt(b0) (3/2 - b / (2 b0)).
         tangent = np.concatenate([np.zeros(self._pushes), np.tile(jerk / (2 * around**1.5), self._repeats)])
         rows = self._rows + diags(tangent) @ self._values
-        bounds = np.concatenate([np.tile(each, self._repeats) for each in (acceleration, 1.5 * jerk / np.sqrt(around))])
+        pushes, jerks = np.tile(acceleration, 2 * self._repeats), np.tile(1.5 * jerk / np.sqrt(around), self._repeats)
+        bounds = np.concatenate([pushes, jerks])
         size = 1 / np.maximum(np.abs(rows).max(axis=1).toarray().ravel(), 1e-9)
         gain = self._weights / around**1.5
         cost = np.concatenate([[0.0], -gain / gain.max(), [0.0]])
