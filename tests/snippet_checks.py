@@ -63,7 +63,7 @@ def check_own_arrays(names: Names, shown: str) -> None:
 
 
 def check_own_picker(names: Names, shown: str) -> None:
-    assert shown == "0 of 4 abstained\nFalse\n"
+    assert shown == "0 of 4 abstained\n100.0\nFalse\n"
     assert names["env"].unwrapped.config.robot.protective_stop == 100.0
 
 

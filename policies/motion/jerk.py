@@ -186,11 +186,11 @@ class _Programs:
         size = 1 / np.maximum(np.abs(rows).max(axis=1).toarray().ravel(), 1e-9)
         gain = self._weights / around**1.5
         cost = np.concatenate([[0.0], -gain / gain.max(), [0.0]])
-        top = np.stack([np.zeros(self._count), self._highest(allowed[1])], axis=1)
+        top = [(0.0, float(each)) for each in self._highest(allowed[1])]
         result = linprog(cost, A_ub=diags(size) @ rows, b_ub=bounds * size, bounds=top, method="highs-ds")
         if result.x is None:
             return None
-        squared = np.maximum(result.x, _LEAST)
+        squared: Floats = np.maximum(result.x, _LEAST)
         squared[[0, -1]] = 0.0
         return squared
 
@@ -199,7 +199,8 @@ class _Programs:
         way = np.minimum(self._s, self._s[-1] - self._s)
         from_rest = (4.5 * jerk / self._steepest) ** (2 / 3) * way ** (4 / 3)
         near = np.minimum(np.arange(self._count), np.arange(self._count)[::-1]) < _FROM_REST
-        return np.where(near, np.minimum(self._top, from_rest), self._top)
+        highest: Floats = np.where(near, np.minimum(self._top, from_rest), self._top)
+        return highest
 
 
 def _fastest(limits: PathLimits, integrals: Sequence[PPoly]) -> Progress:
