@@ -103,7 +103,7 @@ class MotionPlanner:
     """Plans motions of the arm in its cell. Deterministic; no call depends on an earlier one."""
 
     def __init__(self, scene: PlanningScene, ik: IkSolver, settings: PlannerSettings | None = None) -> None:
-        """Keep the scene and the solver; the limits on joint velocity and acceleration are the scene's."""
+        """Keep the scene and the solver; the limits on joint velocity, acceleration and jerk are the scene's."""
         self.settings = settings if settings is not None else PlannerSettings()
         self._scene, self._ik = scene, ik
         self._limits = scene.config.robot
@@ -127,7 +127,7 @@ class MotionPlanner:
             tool: Jaw and carried part.
             escaping: Whether the line leads away from contacts; penetration up to ``escape_depth`` is then allowed.
             speed: Share of the velocity limit allowed on the line; the settings' ``line_speed`` if None.
-            scale: Share of the velocity and acceleration limits used.
+            scale: Share of the limits on velocity, acceleration and jerk used.
         """
         line = self._line(q_from, T_world_tcp_to, speed)
         if isinstance(line, MotionPlan):
@@ -153,7 +153,7 @@ class MotionPlanner:
             tool: Jaw and carried part; its points are checked on the way across only.
             legs: Straight lines at both ends; none if None.
             obstacle_height: Surface of the pile, without what is carried; no pile if None.
-            scale: Share of the velocity and acceleration limits used on the whole motion.
+            scale: Share of the limits on velocity, acceleration and jerk used on the whole motion.
 
         Returns:
             The plan; its trajectory has three marks: lifted, before the goal, and at the goal.
