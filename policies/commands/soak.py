@@ -27,6 +27,7 @@ class Arguments:
     # 10 000, 1000, 100 and 86 400 unless given
     count: int | None = None
     resets: int = 1000  # number of resets over which the growth of memory is fitted; 0 leaves it out
+    skip: int = 0  # number of units at the beginning that are left out, because another machine does them
     seed: int = 0  # seed of everything that is drawn
     out: Path | None = None  # folder of the results; runs/soak-SEED unless given
     json: Path | None = None  # JSON file for the results; soak.json in the folder unless given
@@ -78,11 +79,15 @@ def _soak(args: Arguments, results: "dict[str, list[UnitResult]]") -> str:
 
     if args.seed < 0:
         raise ValueError(f"--seed must be 0 or more, got {args.seed}")
-    tables = []
-    for soak in args.soaks():
+    soaks, tables = args.soaks(), []
+    for soak in soaks:
+        if not 0 <= args.skip < len(soak.units()):
+            last = len(soak.units()) - 1
+            raise ValueError(f"--skip must be from 0 to {last}, as {soak.kind} has {last + 1} units, got {args.skip}")
+    for soak in soaks:
         results[soak.kind] = found = []
-        with one_core(), tqdm(total=len(soak.units()), desc=soak.kind, unit="unit", smoothing=0) as bar:
-            for result in run_soak(soak, args.folder()):
+        with one_core(), tqdm(total=len(soak.units()) - args.skip, desc=soak.kind, unit="unit", smoothing=0) as bar:
+            for result in run_soak(soak, args.folder(), skip=args.skip):
                 found.append(result)
                 bar.set_postfix(problems=sum(len(each.problems) for each in found))
                 bar.update()

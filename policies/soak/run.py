@@ -15,12 +15,13 @@ _log = logging.getLogger(__name__)
 SHOWN = 20  # number of problems of each kind that are printed; all are in the records
 
 
-def run_soak(soak: Soak, out: Path) -> Iterator[UnitResult]:
+def run_soak(soak: Soak, out: Path, *, skip: int = 0) -> Iterator[UnitResult]:
     """Yield the results of all units; those whose records exist are read, the others are computed and written.
 
     Args:
         soak: Kind of soak test.
         out: Folder of the records, for every kind its own folder within.
+        skip: Number of units at the beginning that are left out, because another machine does them.
 
     Raises:
         ValueError: The folder holds results of other settings.
@@ -28,7 +29,7 @@ def run_soak(soak: Soak, out: Path) -> Iterator[UnitResult]:
     folder = out / soak.kind
     ensure_same_config(folder / "config.json", soak.settings(), "results of soak")
     try:
-        for unit in soak.units():
+        for unit in soak.units()[skip:]:
             path = folder / f"{unit}.json"
             result = _stored(path)
             if result is None:

@@ -66,3 +66,12 @@ def test_nonsense_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr().err.endswith("error: inputs and chunk must be at least 1, got 0 and 20\n")
     assert soak.main(["--kind", "fuzz", "--seed", "-1", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err.endswith("error: --seed must be 0 or more, got -1\n")
+    assert soak.main(["--kind", "fuzz", "--count", "40", "--skip", "2", "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.endswith("--skip must be from 0 to 1, as fuzz has 2 units, got 2\n")
+
+
+@pytest.mark.usefixtures("quick")
+def test_the_first_units_are_left_to_another_machine(tmp_path: Path) -> None:
+    assert soak.main(["--kind", "fuzz", "--count", "60", "--skip", "2", "--out", str(tmp_path)]) == 0
+    facts = json.loads((tmp_path / "soak.json").read_text())
+    assert [unit["name"] for unit in facts["kinds"]["fuzz"]] == ["00002"]

@@ -48,6 +48,14 @@ def test_a_finished_unit_is_not_done_again(tmp_path: Path) -> None:
     assert first[1].problems == ("it broke",)
 
 
+def test_units_that_another_machine_does_are_left_out(tmp_path: Path) -> None:
+    rest = Counting(count=4)
+    assert [result.name for result in run_soak(rest, tmp_path, skip=2)] == ["00002", "00003"]
+    both = Counting(count=4)
+    assert [result.name for result in run_soak(both, tmp_path)] == ["00000", "00001", "00002", "00003"]
+    assert both.done == ["00000", "00001"]
+
+
 def test_a_damaged_record_is_made_again(tmp_path: Path) -> None:
     list(run_soak(Counting(), tmp_path))
     (tmp_path / "env" / "00000.json").write_text("{")

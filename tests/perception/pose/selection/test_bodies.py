@@ -207,7 +207,8 @@ def test_shared_samples_are_counted_both_ways_and_not_where_the_parts_are_far_ap
     middle, radius, cell = np.array([0.4, 0.5, 0.6]), 0.9, 0.3
     samples = cell * rng.uniform(0, 5, (300, 3))
     turns = random_rotation(rng), random_rotation(rng)
-    T_a, T_b = (make_transform(turn, [0, 0, 2] + rng.uniform(-0.1, 0.1, 3) - turn @ middle) for turn in turns)
+    ahead = np.array([0.0, 0.0, 2.0])
+    T_a, T_b = (make_transform(turn, ahead + rng.uniform(-0.1, 0.1, 3) - turn @ middle) for turn in turns)
     grid = samples, inside, np.zeros(3), cell, 0.2
     want = samples_within(invert_transform(T_a) @ T_b, *grid) + samples_within(invert_transform(T_b) @ T_a, *grid)
     assert samples_shared(T_a, T_b, middle, radius, *grid) == want > 20

@@ -61,4 +61,5 @@ def test_points_behind_the_camera_and_at_it_explain_nothing_and_match_nothing() 
         assert not kernels.matched_points(T, origin, along, *index.arrays, 0.01, 0.02, 0.9).any()
         assert not kernels.explained_points(T, origin, along, place, along, 0.01, 0.02, 0.9).any()
     near = np.array([[0.0, 0.0, 0.005]])  # nearer to the camera than the gate: not sorted out by its place in the image
-    assert kernels.explained_points(np.eye(4), near, along, near + [0.006, 0.0, 0.0], along, 0.01, 0.01, 0.9).all()
+    beside = near + np.array([0.006, 0.0, 0.0])
+    assert kernels.explained_points(np.eye(4), near, along, beside, along, 0.01, 0.01, 0.9).all()
