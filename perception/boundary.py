@@ -11,6 +11,7 @@ from perception import _boundary_kernels as _kernels
 from perception.depth_edges import DepthEdgeSettings, depth_edges
 from perception.frame import Frame, Workspace, bin_region
 from perception.geometry import Floats, pixel_rays, require_shape, transform_points
+from perception.runtime.sorting import distinct
 
 BoundarySource = Literal["grey", "depth", "both"]
 THIN = 0.0005  # height by which the top of a part must exceed the margin, for the sake of noise [m]
@@ -153,7 +154,7 @@ def extract_boundary(frame: Frame, workspace: Workspace, settings: BoundarySetti
         v, u = np.nonzero(found)
         more = np.column_stack([u, v]).astype(np.int64) + np.array([u0, v0])
         edges = np.concatenate([edges, _foreground(more, frame, settings)])
-    flat = np.unique(edges[:, 1] * size[0] + edges[:, 0])
+    flat = distinct(edges[:, 1] * size[0] + edges[:, 0])
     pixels = np.column_stack([flat % size[0], flat // size[0]])
     points_world = transform_points(frame.T_world_cam, organised_points(frame, pixels))
     # Parts may seem to lie in a floor or a wall whose place is uncertain.

@@ -17,6 +17,7 @@ from perception.geometry import Floats, rotation_about
 from perception.part import Symmetry
 from perception.pose.model._pair_kernels import FeatureGrid, Ints, Votes, model_pairs, tangent_frames
 from perception.pose.model.edge_models import EdgeModel
+from perception.runtime.sorting import distinct
 
 # Weights are integers in units of 1 / WEIGHT_ONE, so that sums are exact; those of 30 000 points stay below 2**31.
 WEIGHT_ONE = 1024
@@ -177,7 +178,7 @@ def build_table(edges: EdgeModel, config: PairConfig | None = None, symmetry: Sy
     mask = np.asarray(edges.visibility[kept] if config.same_view else np.ones(len(kept)), dtype=np.uint32)
     grid = config.grid(edges.d_max)
     pairs = model_pairs(points, units * signs[:, None], frames[members] @ rotations, members, mask, grid)
-    pairs = np.unique(pairs)
+    pairs = distinct(pairs)
     counts = np.bincount(pairs >> 32, minlength=config.cells)
     rows = np.full(len(edges), -1, dtype=np.int64)
     rows[kept] = members
