@@ -1,8 +1,8 @@
 """The soak test of load: many environments in one process, and shared pipelines, against the same alone."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -63,6 +63,7 @@ class LoadSoak:
 
     def run(self, unit: str, folder: Path) -> UnitResult:  # noqa: ARG002 - the form of a soak test
         """Run the environments of a unit together, some of them alone, and share pipelines, each in a process."""
+        compile_kernels(self)
         try:
             found = dict(map_indices(partial(_job, self, int(unit)), (_TOGETHER, _ALONE, _PIPELINES), workers=2))
         except WorkerError as error:
@@ -109,6 +110,16 @@ class LoadSoak:
     def chosen(self, number: int) -> list[int]:
         """Return which environments of a unit are run again, alone."""
         return [(number * self.alone + k) % self.environments for k in range(min(self.alone, self.environments))]
+
+
+@cache
+def compile_kernels(soak: LoadSoak) -> None:
+    """Make a decision with each environment of the first unit, so that no unit's memory grows by what compiling takes.
+
+    It is done once in a process. Kernels that are compiled are kept on disk, where those of the units find them.
+    """
+    for member in soak.members(0):
+        pick_alone(replace(member, seconds=1.0))
 
 
 def _job(soak: LoadSoak, number: int, which: int) -> tuple[int, Any]:

@@ -23,6 +23,13 @@ def in_this_process(work: Callable[[int], Any], indices: Sequence[int], workers:
     return map(work, indices)
 
 
+@pytest.fixture(autouse=True)
+def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let nothing be compiled before a unit, unless that is what is tested."""
+    if "compiling" not in request.node.name:
+        monkeypatch.setattr(load, "compile_kernels", lambda _: None)
+
+
 @pytest.mark.slow
 def test_what_runs_side_by_side_does_the_same_as_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(load, "map_indices", in_this_process)
@@ -72,6 +79,22 @@ def test_a_member_picks_until_its_time_is_over() -> None:
     assert len(set(deeds.digests)) == 6
     assert pick_alone(MEMBER) == deeds
     assert pick_alone(replace(MEMBER, seed=2)).digests[0] != deeds.digests[0]
+
+
+def test_compiling_is_over_before_the_memory_of_a_unit_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiling in a unit let its memory grow by 102 MB on a machine that had no kernels."""
+    calls: list[str] = []
+    monkeypatch.setattr(load, "pick_alone", lambda member: calls.append(f"{member.part} {member.seconds:g} s"))
+
+    def found(*_: Any, **__: Any) -> list[Any]:
+        calls.append("unit")
+        return [(0, ([DEEDS, DEEDS], 0.0)), (1, [DEEDS, DEEDS]), (2, (4, []))]
+
+    monkeypatch.setattr(load, "map_indices", found)
+    soak = replace(SMALL, seconds=9)  # which no other test runs
+    for unit in soak.units():
+        soak.run(unit, tmp_path)
+    assert calls == ["tee 1 s", "bracket 1 s", "unit", "unit"]
 
 
 @pytest.mark.usefixtures("toys")
