@@ -170,8 +170,14 @@ class RealSenseCamera:
 def _pyrealsense2() -> Any:
     try:
         return importlib.import_module("pyrealsense2")
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
             'a RealSense camera needs pyrealsense2: pip install "binpick[cameras]"; recordings and exported images '
             "need it not, see read_frame"
+        ) from error
+    except ImportError as error:
+        raise ImportError(
+            f"a RealSense camera needs pyrealsense2, which is installed but cannot be loaded: {error}. A library "
+            "of the system that it needs is missing; libusb comes with apt install libusb-1.0-0. Recordings and "
+            "exported images need it not, see read_frame"
         ) from error

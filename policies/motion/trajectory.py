@@ -104,9 +104,10 @@ def smooth_path(waypoints: Floats, *, tangent_from: Floats | None = None, tangen
     require_shape("waypoints", waypoints, (None, DOF))
     chords = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
     moves = np.concatenate([[True], chords > _MIN_SPACING])
+    goal = waypoints[-1]
     waypoints, chords = waypoints[moves], chords[moves[1:]]
     if len(waypoints) < 2:
-        return waypoints
+        return np.vstack([waypoints, goal]) if (goal != waypoints[0]).any() else waypoints
     s = np.concatenate([[0.0], np.cumsum(chords)])
     slopes = np.diff(waypoints, axis=0) / chords[:, None]
     inner = 0.5 * (slopes[:-1] + slopes[1:])
@@ -116,7 +117,7 @@ def smooth_path(waypoints: Floats, *, tangent_from: Floats | None = None, tangen
     counts = np.maximum(np.ceil(chords / _KNOT_SPACING).astype(int), 4)
     samples = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(s[:-1], s[1:], counts, strict=True)]
     knots: Floats = curve(np.concatenate([*samples, s[-1:]]))
-    knots[0], knots[-1] = waypoints[0], waypoints[-1]
+    knots[0], knots[-1] = waypoints[0], goal
     return knots
 
 
@@ -139,8 +140,10 @@ def time_path(
     if not period > 0:
         raise ValueError(f"period must be positive, got {period}")
     q, speed, kept = _distinct_knots(path)
-    if len(q) < 2:
-        return Trajectory(t=np.zeros(1), q=path.q[-1:].copy(), qd=np.zeros((1, DOF)), marks=(0,) * len(path.ends))
+    if len(q) < 2:  # no motion, or one that is too small to be timed: one control period
+        steps = int((path.q[0] != path.q[-1]).any())
+        t, ends = period * np.arange(steps + 1, dtype=np.float64), path.q[[0, -1][-1 - steps :]]
+        return Trajectory(t=t, q=ends, qd=np.zeros((steps + 1, DOF)), marks=(steps,) * len(path.ends))
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
     acceleration = _RESERVE * scale * limits.max_acceleration
     curve = SplineInterpolator(s, q)

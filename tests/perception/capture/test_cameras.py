@@ -57,7 +57,7 @@ def test_points_without_a_grid_are_refused() -> None:
 @pytest.fixture
 def software() -> Callable[[float], Callable[[], Any]]:
     """Return a source of the frames of librealsense's software device, for a unit of depth [m]; 0 sets none."""
-    rs: Any = pytest.importorskip("pyrealsense2")
+    rs: Any = pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
     def source(unit: float) -> Callable[[], Any]:
         height, width = DEPTH.shape
@@ -135,7 +135,7 @@ class Shots:
 
 
 def test_aligned_colour_becomes_grey_without_edges_at_holes() -> None:
-    rs: Any = pytest.importorskip("pyrealsense2")
+    rs: Any = pytest.importorskip("pyrealsense2", exc_type=ImportError)
     depth = np.full((48, 64), 800, np.uint16)
     depth[20:30, 20:30] = 0
     colour = np.where(depth[..., None] > 0, RED, 0).astype(np.uint8)
@@ -147,9 +147,23 @@ def test_aligned_colour_becomes_grey_without_edges_at_holes() -> None:
 
 
 def test_a_realsense_without_depth_is_refused() -> None:
-    pytest.importorskip("pyrealsense2")
+    pytest.importorskip("pyrealsense2", exc_type=ImportError)
     with pytest.raises(ValueError, match="the camera must send depth images, got none: enable its depth stream"):
         RealSenseCamera(lambda: Shots(None, None)).capture()
+
+
+def test_a_missing_library_of_the_system_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pyrealsense2 2.59 brings no libusb."""
+    missing = ImportError("libusb-1.0.so.0: cannot open shared object file")
+
+    def load(name: str) -> None:
+        raise missing
+
+    monkeypatch.setattr("importlib.import_module", load)
+    named = r"cannot be loaded: libusb-1\.0\.so\.0: .* apt install libusb-1\.0-0"
+    with pytest.raises(ImportError, match=named) as raised:
+        RealSenseCamera(lambda: None)
+    assert raised.value.__cause__ is missing
 
 
 def test_without_pyrealsense2_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

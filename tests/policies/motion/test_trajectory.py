@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from binpick_env.cell.robot import HOME
@@ -16,6 +16,9 @@ joint_moves = st.lists(st.floats(-2.5, 2.5), min_size=6, max_size=6).map(np.arra
 
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(move=joint_moves)
+@example(move=np.zeros(6))
+@example(move=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-9]))
+@example(move=np.array([0.0, 0.0, 2e-6, 0.0, 0.0, 1e-9]))
 def test_straight_joint_move_obeys_limits_ends_exactly_and_never_turns_back(move):
     trajectory = time_path(leg(smooth_path(np.vstack([HOME, HOME + move]))), LIMITS)
     assert trajectory is not None
