@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from binpick_env.jobs.ray_map import leave_cluster
+from binpick_env.jobs.ray_cluster import leave_cluster
 from perception.capture import write_frame
 from perception.frame import Frame
 from perception.geometry import make_transform

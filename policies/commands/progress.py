@@ -5,7 +5,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from binpick_env.jobs.ray_map import nodes_in_use
+from binpick_env.jobs.ray_cluster import nodes_in_use
 from binpick_env.jobs.text_tables import counted
 
 

@@ -14,7 +14,7 @@ import pytest
 import trimesh
 
 from binpick_env.config import CameraConfig
-from binpick_env.jobs import ray_map
+from binpick_env.jobs import ray_cluster, ray_map
 from binpick_env.jobs.build import build
 from binpick_env.jobs.process_map import map_indices
 from binpick_env.jobs.workers import Cluster, WorkerError
@@ -163,17 +163,17 @@ def test_a_node_of_another_build_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_node_without_the_project_is_named() -> None:
     missing = SimpleNamespace(cause=ModuleNotFoundError("No module named 'binpick_env'", name="binpick_env.jobs"))
     with pytest.raises(WorkerError, match="a node of the cluster has no binpick: install the same build"):
-        raise ray_map._cause(missing)
+        raise ray_cluster._cause(missing)
     other = ModuleNotFoundError("No module named 'rerun'", name="rerun")
-    assert ray_map._cause(SimpleNamespace(cause=other)) is other
+    assert ray_cluster._cause(SimpleNamespace(cause=other)) is other
 
 
 def test_a_head_that_listens_is_reachable() -> None:
     import ray
 
     address = ray.get_runtime_context().gcs_address
-    assert ray_map._is_reachable(address)
-    assert not ray_map._is_reachable("127.0.0.1:1")
+    assert ray_cluster._is_reachable(address)
+    assert not ray_cluster._is_reachable("127.0.0.1:1")
 
 
 def test_a_result_that_cannot_be_pickled_is_an_error_of_the_work() -> None:
@@ -217,10 +217,10 @@ def test_few_indices_wait_on_the_cluster(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(ray_map._Started, "submit", lambda self, index: (submitted.append(index), submit(self, index)))
     results = map_indices(works.square, range(100_000), CLUSTER)
     assert next(results) in {index * index for index in range(20)}
-    assert ray_map.nodes_in_use() == 1
+    assert ray_cluster.nodes_in_use() == 1
     assert len(submitted) == 8
     results.close()  # type: ignore[attr-defined]
-    assert ray_map.nodes_in_use() == 0
+    assert ray_cluster.nodes_in_use() == 0
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes as Linux lists them")
@@ -235,9 +235,9 @@ def test_an_iteration_that_is_closed_early_stops_what_is_computed(tmp_path: Path
 
 
 def test_a_cluster_whose_head_is_gone_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ray_map, "_REFRESH", 0.05)
-    monkeypatch.setattr(ray_map, "_PATIENCE", 0.2)
-    monkeypatch.setattr(ray_map, "_is_reachable", lambda address: False)
+    monkeypatch.setattr(ray_cluster, "_REFRESH", 0.05)
+    monkeypatch.setattr(ray_cluster, "_PATIENCE", 0.2)
+    monkeypatch.setattr(ray_cluster, "_is_reachable", lambda address: False)
     with pytest.raises(WorkerError, match=r"the cluster at .*:\d+ is lost, or none of its nodes computes; see docs"):
         list(map_indices(partial(works.linger, tmp_path), [1], CLUSTER))
 
@@ -266,7 +266,7 @@ class FakeRay(SimpleNamespace):
 
 @pytest.fixture
 def apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ray_map, "_joined", None)
+    monkeypatch.setattr(ray_cluster, "_joined", None)
 
 
 def test_ray_is_needed(apart: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,18 +278,18 @@ def test_ray_is_needed(apart: None, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_cluster_that_is_not_there_is_named(apart: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", FakeRay(ConnectionError("no running instance")))
     with pytest.raises(WorkerError, match=r"the cluster auto cannot be joined \(no running instance\); see docs"):
-        ray_map._join(Cluster(address="auto"))
+        ray_cluster.join(Cluster(address="auto"))
 
 
 def test_a_head_that_does_not_answer_is_named_at_once(apart: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", FakeRay())
     with pytest.raises(WorkerError, match=r"nothing answers at 127\.0\.0\.1:1, which must be the head node's address"):
-        ray_map._join(Cluster(address="127.0.0.1:1"))
+        ray_cluster.join(Cluster(address="127.0.0.1:1"))
 
 
 def test_a_cluster_is_joined_once_and_left_for_another(apart: None, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = FakeRay()
     monkeypatch.setitem(sys.modules, "ray", fake)
     for cluster in 2 * [Cluster(address="local", workers=3)] + [Cluster(address="auto")]:
-        assert ray_map._join(cluster) is fake
+        assert ray_cluster.join(cluster) is fake
     assert fake.calls == [("local", 3), ("auto", None)]
