@@ -69,11 +69,41 @@ def compute(
         _require_build(required)
         _loaded = _load(key, fetch())
     inputs = fetch_inputs()
+    with _sendable_errors(), _laid_out(inputs, _loaded.files), _compiled_once(_loaded.name), one_core():
+        if isinstance(_loaded.work, FolderWork):
+            return _in_own_folder(_loaded.work, index)
+        return Outcome(result=_loaded.work(index), files={})
+
+
+class NodeObject:
+    """An object that a job makes in a process of its own, and whose methods are called from another machine.
+
+    Args:
+        required: Build of the process that started the job.
+        fetch: Returns the job, whose work makes the object of an index.
+        index: Index of the object.
+
+    Raises:
+        WorkerError: As :func:`compute`; its methods likewise.
+    """
+
+    def __init__(self, required: Mapping[str, str], fetch: Callable[[], Job], index: int) -> None:
+        _require_build(required)
+        loaded = _load("", fetch())
+        with _sendable_errors(), _compiled_once(loaded.name), one_core():
+            self._object: Any = loaded.work(index)
+
+    def call(self, method: str, arguments: Sequence[Any]) -> Outcome:
+        """Call a method of the object."""
+        with _sendable_errors(), one_core():
+            return Outcome(result=getattr(self._object, method)(*arguments), files={})
+
+
+@contextmanager
+def _sendable_errors() -> Iterator[None]:
+    """Let errors arrive as they are, or with their texts where they would not."""
     try:
-        with _laid_out(inputs, _loaded.files), _compiled_once(_loaded.name), one_core():
-            if isinstance(_loaded.work, FolderWork):
-                return _in_own_folder(_loaded.work, index)
-            return Outcome(result=_loaded.work(index), files={})
+        yield
     except (Exception, SystemExit) as error:
         if (sendable := _sendable(error)) is error:
             raise
