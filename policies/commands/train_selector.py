@@ -40,15 +40,18 @@ class Common(CellArguments):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ppo(Common):
+class Ppo(WorkerArguments, Common):
     """Train by MaskablePPO. The same command resumes where it was stopped; more --picks train further.
 
     For a last stretch with the real perception, use the same folder, more --picks and --perception learned.
     """
 
-    workers: int = 1  # number of processes, each on one core
+    workers: int = 1  # number of environments, each in a process on one core, on a cluster as well
+    # run the environments on a Ray cluster, on --workers of its cores: the address host:port of its head node, auto for
+    # the cluster that this machine belongs to, or local to start one of --workers processes here
+    cluster: str | None = None
     picks: int = 20_000  # number of picks in all
-    rollout: int = 128  # number of picks of each process between two updates
+    rollout: int = 128  # number of picks of each environment between two updates
     initial: Path | None = None  # selector to start from, such as the bandit's, a .safetensors file
     hidden: int = 64  # number of units in each layer of the network
 
@@ -89,15 +92,17 @@ def run(args: Arguments) -> int:
 
 
 def _train_ppo(args: Ppo) -> str:
-    from tqdm import tqdm
-
+    from binpick_env.jobs.workers import Cluster
+    from policies.commands.progress import ProgressBar
     from policies.selection.learning.ppo import PpoConfig, train_ppo
     from policies.selection.network import SelectorNetConfig
 
     network = SelectorNetConfig(hidden=args.hidden)
     size = {"n_envs": args.workers, "n_steps": args.rollout, "batch_size": min(64, args.rollout)}
-    config = PpoConfig(network=network, **size, seed=args.seed)
-    with tqdm(total=args.picks, unit="pick", smoothing=0) as bar:
+    places = args.places()
+    cluster = places if isinstance(places, Cluster) else None
+    config = PpoConfig(network=network, **size, seed=args.seed, cluster=cluster)
+    with ProgressBar(total=args.picks, unit="pick", smoothing=0) as bar:
 
         def on_progress(picks: int, rates: dict[str, float]) -> None:
             bar.update(picks - bar.n)

@@ -7,19 +7,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
+from binpick_env.jobs.workers import Cluster
 from perception.runtime.files import json_text, replace_atomically, write_atomically
 from perception.runtime.provenance import command_line, git_commit, versions
 from perception.runtime.threads import one_core
 from policies.grasping.outcomes import Abstention, GraspOutcome
 from policies.selection.env import ABSTAINED
 from policies.selection.learning.checkpoint import load_checkpoint
+from policies.selection.learning.cluster_vec_env import Maker, environments_on_cluster
+from policies.selection.learning.episodes import SeededEpisodes
 from policies.selection.learning.experience import Cells
 from policies.selection.learning.policy import SelectorPolicy
 from policies.selection.learning.record_keys import PPO_KEYS, with_former_keys, without_former_keys
@@ -32,10 +34,11 @@ _NO_ATTEMPT = {"", ABSTAINED, *map(str, Abstention)}
 
 @dataclass(frozen=True, kw_only=True)
 class PpoConfig:
-    """Hyperparameters under SB3's names; only ``n_envs`` may change when a training is resumed."""
+    """Hyperparameters under SB3's names; only ``n_envs`` and ``cluster`` may change when a training is resumed."""
 
     network: SelectorNetConfig = field(default_factory=SelectorNetConfig)
     n_envs: int = 1  # number of environments; several run in processes of their own
+    cluster: Cluster | None = None  # where each environment runs in a process of its own; None: on this machine
     n_steps: int = 128  # picks per environment between updates
     batch_size: int = 64  # picks per gradient step
     n_epochs: int = 6  # passes over the picks of an update
@@ -55,8 +58,13 @@ class PpoConfig:
             )
 
     def record(self) -> dict[str, Any]:
-        """Return the settings as they are written to files, under their present and their former names."""
-        values: dict[str, Any] = json.loads(json_text(with_former_keys(asdict(self), PPO_KEYS)))
+        """Return the settings as they are written to files, under their present and their former names.
+
+        The cluster is left out, since results do not depend on it.
+        """
+        settings = asdict(self)
+        settings.pop("cluster")
+        values: dict[str, Any] = json.loads(json_text(with_former_keys(settings, PPO_KEYS)))
         return values
 
 
@@ -75,8 +83,9 @@ def train_ppo(
 ) -> Path:
     """Train until ``picks`` picks have been made in all, starting from the folder's checkpoint if it holds one.
 
-    The cells may change from one call to the next: the last stretch may use the learned perception. A training that was
-    stopped and resumed does not draw the same random numbers as an uninterrupted one.
+    The cells may change from one call to the next: the last stretch may use the learned perception. Piles and random
+    numbers follow from the configuration's seed, the number of environments and the picks before this call, wherever
+    the environments run. A training that was stopped and resumed therefore sees other piles than an uninterrupted one.
 
     Args:
         config: Network and hyperparameters.
@@ -92,6 +101,8 @@ def train_ppo(
 
     Raises:
         TrainingError: The folder holds a training with another configuration.
+        WorkerError: The cluster cannot go on; see
+            :func:`policies.selection.learning.cluster_vec_env.environments_on_cluster`. The checkpoint remains valid.
     """
     stretches = _stretches(config, cells, out)
     with one_core():
@@ -102,7 +113,7 @@ def train_ppo(
             noted = {"ppo": trained.record(), "requested_network": asdict(config.network), "cells": stretches}
             write_atomically(out / CONFIG, json_text(noted))
             keeper = _Keeper(out, on_progress)
-            model.set_random_seed(config.seed + model.num_timesteps)  # a resumed stretch sees other piles
+            model.set_random_seed(_stretch_seed(config.seed, model.num_timesteps))
             model.learn(
                 max(picks - model.num_timesteps, 0),
                 callback=keeper,
@@ -173,14 +184,22 @@ class _Keeper(BaseCallback):
 
 
 def _vector(cells: Cells, config: PpoConfig) -> VecEnv:
-    makers: list[Callable[[], gym.Env[Any, Any]]] = [partial(_monitored, cells) for _ in range(config.n_envs)]
-    vector: VecEnv = DummyVecEnv(makers) if config.n_envs == 1 else SubprocVecEnv(makers, start_method="forkserver")
-    vector.seed(config.seed)
-    return vector
+    makers: list[Maker] = [partial(_environment, cells)] * config.n_envs
+    if config.cluster is not None:
+        return environments_on_cluster(makers, config.cluster)
+    return DummyVecEnv(makers) if config.n_envs == 1 else SubprocVecEnv(makers, start_method="forkserver")
 
 
-def _monitored(cells: Cells) -> Monitor:
-    return Monitor(cells.environment())
+def _environment(cells: Cells) -> Monitor:
+    return Monitor(SeededEpisodes(cells.environment()))
+
+
+def _stretch_seed(seed: int, picks: int) -> int:
+    """Return the seed of a stretch that begins after some picks: a resumed one sees other piles.
+
+    SB3 gives each environment this seed plus its index, as that of its series of episodes.
+    """
+    return int(np.random.SeedSequence([seed, picks]).generate_state(1)[0])
 
 
 def _model(config: PpoConfig, vector: VecEnv, out: Path, initial: Path | None) -> MaskablePPO:
