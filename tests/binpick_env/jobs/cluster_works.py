@@ -105,3 +105,40 @@ def weigh_without_the_file(part: str, index: int) -> tuple[float, str, str]:
 def installed(index: int) -> dict[str, bytes]:
     """Return the files of the installed weights."""
     return {path.name: path.read_bytes() for path in user_folder().iterdir()}
+
+
+class Counting:
+    """Counts its calls in the process that holds it."""
+
+    def __init__(self, path: str, index: int) -> None:
+        self.index, self._calls = index, 0
+        self._file = local_file(Path(path)).read_bytes()
+
+    def count(self, step: int) -> tuple[int, int]:
+        self._calls += step
+        return self.index, self._calls
+
+    def file(self) -> bytes:
+        return self._file
+
+    def circumstances(self) -> tuple[int, int, str, dict[str, int]]:
+        return circumstances(self.index)
+
+    def process(self) -> int:
+        return os.getpid()
+
+    def fail(self) -> None:
+        raise FloatingPointError(f"object {self.index} diverged")
+
+    def die(self) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Sleeping:
+    """Takes as long as it is told."""
+
+    def __init__(self, index: int) -> None:
+        self.index = index
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)

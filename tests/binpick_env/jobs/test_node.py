@@ -187,6 +187,31 @@ def test_another_build_is_refused() -> None:
         node.compute("job", {**build(), "numpy": "0.1"}, lambda: job, 0)
 
 
+class _Reader:
+    def __init__(self, path: str, index: int) -> None:
+        self._read, self._stopped = partial(read, path, index), SystemExit("enough")
+
+    def read(self, wanted: bool) -> tuple[int, bytes, str]:
+        if not wanted:
+            raise self._stopped
+        return self._read()
+
+
+def test_an_object_is_made_of_a_job_and_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "start" / "gear.stl").write_bytes(b"a gear")
+    job = Job.of(partial(_Reader, "gear.stl"), begin, ("initialized",))
+    (tmp_path / "start" / "gear.stl").unlink()
+    monkeypatch.chdir("/")
+    made = node.NodeObject(build(), lambda: job, 3)
+    for _ in range(2):
+        assert made.call("read", [True]).result == (3, b"a gear", str(tmp_path.resolve() / "start" / "gear.stl"))
+    assert started == ["initialized"]
+    with pytest.raises(WorkerError, match=r"^the work failed: SystemExit: enough$"):
+        made.call("read", [False])
+    with pytest.raises(WorkerError, match=r"than this machine \(numpy: 0.1, .*\): install the same one on every node"):
+        node.NodeObject({**build(), "numpy": "0.1"}, lambda: pytest.fail("the job is loaded"), 0)
+
+
 def test_a_folder_of_another_user_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     user = os.getuid()
     monkeypatch.setattr(node.os, "getuid", lambda: user + 1)

@@ -29,20 +29,13 @@ from perception.s3dis.evaluation.identities import predict_merged_ground_truth_b
 from perception.s3dis.scoring import S3disScores, match_rooms
 from perception.s3dis.synthesis import SynthesisConfig, synthesize_rooms
 from tests.binpick_env.jobs import cluster_works as works
-
-CLUSTER = Cluster(address="auto")
+from tests.local_cluster import CLUSTER, two_workers
 
 
 @pytest.fixture(scope="module", autouse=True)
 def cluster() -> Iterator[None]:
-    """A cluster of this machine with two worker processes, which the maps of this module find joined."""
-    ray = pytest.importorskip("ray", reason="needs Ray: pip install 'binpick[cluster]'")
-    ray.init(
-        "local", num_cpus=2, object_store_memory=80_000_000, include_dashboard=False,
-        log_to_driver=False, logging_level="ERROR", _system_config={"worker_niceness": 0},
-    )  # fmt: skip
-    yield
-    ray.shutdown()
+    with two_workers():
+        yield
 
 
 # --- results ---------------------------------------------------------------------------------------------------------
