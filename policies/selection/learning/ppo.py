@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.callbacks import BaseCallback
@@ -191,6 +192,7 @@ def _vector(cells: Cells, config: PpoConfig) -> VecEnv:
 
 
 def _environment(cells: Cells) -> Monitor:
+    cv2.setNumThreads(1)  # which processes do not take over from the one that starts them
     return Monitor(SeededEpisodes(cells.environment()))
 
 
