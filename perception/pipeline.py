@@ -28,6 +28,7 @@ from perception.pose.estimator_config import EstimatorConfig
 from perception.pose.group_search import GroupSearch
 from perception.pose.pose_estimate import PoseEstimate
 from perception.pose.selection.explanation import explain_segments
+from perception.runtime.garbage import collection_paused
 from perception.runtime.threads import default_threads, use_threads
 from perception.segmentation.surface import coarse_surface
 from perception.thickness import part_boundary
@@ -142,9 +143,9 @@ class Pipeline:
             ValueError: The mesh of the part does not enclose a volume, or an argument is of another kind.
         """
         require_kind("part", part, PartModel, "load_part(...).model is one, and PartModel.from_mesh makes one")
-        from perception.segmentation.predictor import SegmentationPredictor
+        with use_threads(default_threads()), collection_paused():
+            from perception.segmentation.predictor import SegmentationPredictor
 
-        with use_threads(default_threads()):
             predictor, poses = SegmentationPredictor.for_part(part), PoseEstimator(part, estimator, workspace)
         return cls(predictor, poses, workspace, measure_bin=measure_bin, trust=trust, boundary=boundary)
 

@@ -66,6 +66,44 @@ def tangent_frames(tangents: Floats) -> Floats:
 
 
 @njit(cache=True, nogil=True)
+def orbits(places: Floats, directions: Floats, distance: float, cosine: float) -> tuple[Ints, Ints, Ints]:
+    """Group points that are alike under some rotation; the first point of an orbit, under its first one, represents it.
+
+    Args:
+        places: (M, S, 3) each point under each rotation [m].
+        directions: (M, S, 3) unit tangents likewise, of any sign.
+        distance: Largest distance from the representative [m].
+        cosine: Smallest cosine of the angle between the tangents.
+
+    Returns:
+        (M,) orbit of each point, (M,) rotation that brings it to its representative, (R,) representatives.
+    """
+    members, chosen = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)
+    representatives = np.empty(len(places), np.int64)
+    count = 0
+    for m in range(len(places)):
+        orbit = -1
+        for o in range(count):
+            place, along = places[representatives[o], 0], directions[representatives[o], 0]
+            for s in range(places.shape[1]):
+                apart, turned = places[m, s], directions[m, s]
+                x, y, z = apart[0] - place[0], apart[1] - place[1], apart[2] - place[2]
+                if math.sqrt(x * x + y * y + z * z) > distance:
+                    continue
+                if abs(turned[0] * along[0] + turned[1] * along[1] + turned[2] * along[2]) >= cosine:
+                    orbit, chosen[m] = o, s
+                    break
+            if orbit >= 0:
+                break
+        if orbit < 0:
+            orbit = count
+            representatives[count] = m
+            count += 1
+        members[m] = orbit
+    return members, chosen, representatives[:count].copy()
+
+
+@njit(cache=True, nogil=True)
 def pair_feature(
     points: Floats, tangents: Floats, frame: Floats, r: int, i: int, nearest: float, farthest: float
 ) -> tuple[float, float, float, float, float]:

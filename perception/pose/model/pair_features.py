@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from perception.geometry import Floats, rotation_about
 from perception.part import Symmetry
-from perception.pose.model._pair_kernels import FeatureGrid, Ints, Votes, model_pairs, tangent_frames
+from perception.pose.model._pair_kernels import FeatureGrid, Ints, Votes, model_pairs, orbits, tangent_frames
 from perception.pose.model.edge_models import EdgeModel
 from perception.runtime.sorting import distinct
 
@@ -169,8 +169,8 @@ def build_table(edges: EdgeModel, config: PairConfig | None = None, symmetry: Sy
     kept = usable(edges.points, edges.tangents)
     units = unit(edges.tangents[kept])
     points = np.ascontiguousarray(edges.points[kept], dtype=np.float64)
-    orbits = _orbits(points - edges.centre, units, symmetry or Symmetry(), config, edges.d_max)
-    members, rotations, representatives = orbits
+    offsets = points - edges.centre
+    members, rotations, representatives = _orbits(offsets, units, symmetry or Symmetry(), config, edges.d_max)
     # A member's pairs are seen in the frame of its row's representative, and its tangent has the sign of that one's.
     turned = np.einsum("mij,mj,mi->m", rotations, units, units[representatives][members])
     signs = np.where(turned < 0, -1.0, 1.0)
@@ -233,9 +233,9 @@ def _orbits(
         (M,) orbit of each point; (M, 3, 3) rotation of the symmetry group that brings each point to the representative
         of its orbit; (R,) representatives, the first point of each orbit.
     """
-    members, to_representative = np.arange(len(offsets)), np.tile(np.eye(3), (len(offsets), 1, 1))
     if symmetry.order == 1 or len(offsets) == 0:
-        return members, to_representative, members
+        alone = np.arange(len(offsets))
+        return alone, np.tile(np.eye(3), (len(offsets), 1, 1)), alone
     # Each point under each rotation of the group; a continuous axis rotates it to the half-plane of azimuth 0.
     rotations = np.repeat(symmetry.rotations[None], len(offsets), axis=0)
     if symmetry.sphere:
@@ -244,19 +244,10 @@ def _orbits(
         rotations = _to_half_plane(rotations, offsets, tangents, symmetry.axis, config.orbit_distance * d_max)
     places = np.einsum("msij,mj->msi", rotations, offsets)
     directions = np.einsum("msij,mj->msi", rotations, tangents)
-    cosine = math.cos(config.orbit_angle)
-    representatives: list[int] = []
-    for m in range(len(offsets)):
-        # A representative is placed where its own first rotation puts it.
-        far = np.linalg.norm(places[m] - places[representatives, 0][:, None], axis=-1)
-        along = np.abs(np.sum(directions[m] * directions[representatives, 0][:, None], axis=-1))
-        fits = np.argwhere((far <= config.orbit_distance * d_max) & (along >= cosine))
-        orbit, s = fits[0] if len(fits) else (len(representatives), 0)
-        if not len(fits):
-            representatives.append(m)
-        members[m] = orbit
-        to_representative[m] = rotations[representatives[orbit], 0].T @ rotations[m, s]
-    return members, to_representative, np.array(representatives, dtype=np.int64)
+    distance, cosine = config.orbit_distance * d_max, math.cos(config.orbit_angle)
+    members, chosen, representatives = orbits(places, directions, distance, cosine)
+    first, own = rotations[representatives[members], 0], rotations[np.arange(len(offsets)), chosen]
+    return members, first.transpose(0, 2, 1) @ own, representatives
 
 
 def _to_half_plane(rotations: Floats, offsets: Floats, tangents: Floats, axis: Floats, reach: float) -> Floats:
