@@ -2,6 +2,7 @@
 
 import subprocess
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
@@ -18,6 +19,7 @@ from policies.benchmarks.builds.paired import PairedTimes
 from policies.benchmarks.builds.process import BuildProcess, require_checkout
 
 HERE = Path(__file__).resolve().parents[3]
+NEW_PROCESSES = 3  # number of processes of each build whose first result is timed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +28,8 @@ class BuildComparison:
 
     Attributes:
         job: What was compared.
-        rows: Wall clock and processor time of the work, and of its stages that both builds tell.
+        rows: Wall clock and processor time of the work, of its stages that both builds tell, and of the first result of
+            a new process, its start included.
         same: Number of inputs on which both results are equal bit for bit.
         facts: What the results were, before and after, for each input: poses, pixels, an outcome.
         memory_ready: Peak memory of both processes once everything was imported and prepared [MB].
@@ -74,7 +77,7 @@ def compare_builds(
 
     Note:
         The builds take turns, the other one first, and each computes alone. Each does the first input once more before
-        it is timed, which compiles kernels.
+        it is timed, which compiles kernels. New processes are started at the end, when these are kept on disk.
     """
     for checkout in (against, here):
         require_checkout(checkout)
@@ -90,10 +93,11 @@ def compare_builds(
             if progress is not None:
                 progress(k + 1)
         before, after = (build.finish() for build in builds)
+        firsts = [[_first_result(each, job, inputs) for each in (against, here)] for _ in range(NEW_PROCESSES)]
         ready = (builds[0].imported, builds[1].imported)
     return BuildComparison(
         job=job,
-        rows=tuple(_rows(job.work, pairs)),
+        rows=(*_rows(job.work, pairs), _first_row(firsts)),
         same=sum(a["digest"] == b["digest"] for a, b in pairs),
         facts=tuple((a["fact"], b["fact"]) for a, b in pairs),
         memory_ready=ready,
@@ -112,6 +116,19 @@ def _rows(work: str, pairs: list[list[dict[str, Any]]]) -> list[PairedTimes]:
         return tuple(float(each[key] if key in ("wall", "cpu") else each["stages"][key]) for each in told)
 
     return [PairedTimes(name=name, unit="ms", before=times(key, 0), after=times(key, 1)) for key, name in names.items()]
+
+
+def _first_result(checkout: Path, job: BuildJob, inputs: Path) -> float:
+    """Return the time from the start of a process to its first result [ms]."""
+    started = time.perf_counter()
+    with BuildProcess(checkout, job.work, job.arguments(inputs)) as build:
+        build.work(0)
+        return 1000 * (time.perf_counter() - started)
+
+
+def _first_row(pairs: list[list[float]]) -> PairedTimes:
+    before, after = zip(*pairs, strict=True)
+    return PairedTimes(name="first result of a new process", unit="ms", before=before, after=after)
 
 
 def commit_of(checkout: Path) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from policies.benchmarks.builds import comparison
-from policies.benchmarks.builds.comparison import commit_of, compare_builds, save_comparison
+from policies.benchmarks.builds.comparison import NEW_PROCESSES, commit_of, compare_builds, save_comparison
 from policies.benchmarks.builds.inputs import BuildJob
 from policies.benchmarks.builds.process import BuildError, BuildProcess, require_checkout
 from policies.commands import bench
@@ -25,13 +25,16 @@ def test_two_builds_take_turns_on_the_same_inputs(tmp_path: Path) -> None:
     told: list[int] = []
     compared = compare_builds(old, JOB, here=new, progress=told.append)
     calls = (tmp_path / "calls.txt").read_text().split("\n")[:-1]
-    assert calls == ["old 0", "new 0", "old 0", "new 0", "old 1", "new 1", "old 2", "new 2"]
+    once = ["old 0", "new 0"]
+    assert calls == [*once, *once, "old 1", "new 1", "old 2", "new 2", *NEW_PROCESSES * once]
     assert told == [1, 2, 3]
     assert compared.facts == ((1, 1), (2, 2), (2, 3))
     assert compared.same == 2
-    assert [row.name for row in compared.rows] == ["frame, wall clock", "frame, processor", "  poses"]
+    first = "first result of a new process"
+    assert [row.name for row in compared.rows] == ["frame, wall clock", "frame, processor", "  poses", first]
     assert compared.rows[2].before == compared.rows[2].after == (2.0, 2.0, 2.0)
     assert all(len(row.before) == 3 and min(row.before + row.after) >= 0 for row in compared.rows)
+    assert min(compared.rows[3].after) > max(compared.rows[0].after)  # a process has to start
     assert 5 < compared.memory_ready[0] <= compared.memory_peak[0] < 500
     assert "equal results   2 of 3" in str(compared)
     assert "results after   1 2 3" in str(compared)
