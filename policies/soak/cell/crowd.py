@@ -93,6 +93,11 @@ class Picking:
         done = max(self._seconds, float(self._decisions)) / self._member.seconds
         return 1.0 if self._error else min(done, 1.0)
 
+    @property
+    def contact_memory(self) -> float:
+        """Memory that MuJoCo has used for contacts and constraints at most, and keeps [MB]."""
+        return float(self._env.cell.simulation.data.maxuse_arena) / 1024**2
+
     def go_on(self) -> None:
         """Drop a new pile if the last one is done with, and make a decision; note an exception."""
         try:
@@ -133,16 +138,21 @@ def pick_together(members: Sequence[Member], threads: int) -> tuple[list[Deeds],
     """Return what each of several members does while all of them exist, in turns on several threads.
 
     Returns:
-        The deeds, and by how much the memory grew in the second half [MB].
+        The deeds, and by how much the memory grew in the second half, besides that for contacts, which grows with the
+        pile that has most of them [MB].
     """
     crowd = [Picking(member) for member in members]
     halfway: float | None = None
+
+    def used() -> float:
+        return resident_mb() - sum(picking.contact_memory for picking in crowd)
+
     with ThreadPoolExecutor(threads) as pool:
         while todo := [picking for picking in crowd if picking.share < 1.0]:
             if halfway is None and all(picking.share >= 0.5 for picking in crowd):
-                halfway = resident_mb()
+                halfway = used()
             _all_done(pool, [picking.go_on for picking in todo])
-    grown = resident_mb() - halfway if halfway is not None else 0.0
+    grown = used() - halfway if halfway is not None else 0.0
     return [picking.finish() for picking in crowd], grown
 
 

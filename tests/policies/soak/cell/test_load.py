@@ -48,6 +48,7 @@ class Toy:
         self.simulation = self
         self.data = self
         self.time, self.qpos, self.qvel = 0.0, np.zeros(1), np.zeros(1)
+        self.maxuse_arena = 0
         self.action_space = type("Rows", (), {"n": 32})
 
     def reset(self, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -102,6 +103,22 @@ def test_members_do_the_same_together() -> None:
     members = [replace(MEMBER, seed=k, seconds=2.0 + k) for k in range(5)]
     together, _ = pick_together(members, threads=3)
     assert together == [pick_alone(member) for member in members]
+
+
+@pytest.mark.usefixtures("toys")
+def test_memory_for_contacts_is_no_growth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two of 16 piles, of gears, took 160 MB for their contacts in the second half of a unit."""
+    step, held = Toy.step, [0.0]
+
+    def touching(self: Toy, row: np.int64) -> Any:
+        self.maxuse_arena += 3 * 1024**2
+        held[0] += 3.0 + leaked
+        return step(self, row)
+
+    monkeypatch.setattr(Toy, "step", touching)
+    monkeypatch.setattr(crowd, "resident_mb", lambda: 500.0 + held[0])
+    for leaked in (0.0, 2.0):
+        assert pick_together([MEMBER, MEMBER], threads=1)[1] == 2 * 2 * leaked
 
 
 @pytest.mark.usefixtures("toys")
