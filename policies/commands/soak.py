@@ -81,9 +81,10 @@ def _soak(args: Arguments, results: "dict[str, list[UnitResult]]") -> str:
         raise ValueError(f"--seed must be 0 or more, got {args.seed}")
     soaks, tables = args.soaks(), []
     for soak in soaks:
-        if not 0 <= args.skip < len(soak.units()):
-            last = len(soak.units()) - 1
-            raise ValueError(f"--skip must be from 0 to {last}, as {soak.kind} has {last + 1} units, got {args.skip}")
+        units = len(soak.units())
+        if not 0 <= args.skip < units:
+            wanted = f"0 or more and less than the {units} units of {soak.kind}"
+            raise ValueError(f"--skip must be {wanted}, got {args.skip}")
     for soak in soaks:
         results[soak.kind] = found = []
         with one_core(), tqdm(total=len(soak.units()) - args.skip, desc=soak.kind, unit="unit", smoothing=0) as bar:

@@ -77,7 +77,8 @@ def find_raw_rooms(root: Path) -> list[RawRoom]:
         if room.is_dir() and not room.name.startswith(".")
     ]
     if not folders:
-        raise RawDataError(f"{root} holds no Area_*/ROOM folders; it must be the folder that Area_1 is in")
+        found = "holds no Area_*/ROOM folders" if root.is_dir() else "is no folder"
+        raise RawDataError(f"{root} {found}; it must be the folder that Area_1 is in")
     return [_raw_room(root, folder) for folder in folders]
 
 

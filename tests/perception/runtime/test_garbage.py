@@ -32,6 +32,17 @@ def test_it_is_paused_and_goes_on() -> None:
     assert gc.isenabled()
 
 
+def test_the_last_of_several_threads_lets_it_go_on() -> None:
+    """The first thread ends its pause in the middle of the second one's."""
+    first, second = collection_paused(), collection_paused()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert not gc.isenabled()
+    second.__exit__(None, None, None)
+    assert gc.isenabled()
+
+
 def test_it_goes_on_after_an_error() -> None:
     with pytest.raises(KeyError), collection_paused():
         raise KeyError

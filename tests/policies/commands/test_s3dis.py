@@ -82,7 +82,7 @@ def test_remarks_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     [
         (["prepare", "--raw", "broken", "--out", "out"], "office_2/Annotations/wall_1.txt, line 3 holds not 6 numbers"),
         (["prepare", "--raw", "broken", "--out", "out", "--workers", "1"], "wall_1.txt, line 3 holds not 6 numbers"),
-        (["prepare", "--raw", "nowhere", "--out", "out"], "nowhere holds no Area_*/ROOM folders"),
+        (["prepare", "--raw", "nowhere", "--out", "out"], "nowhere is no folder"),
         (["prepare", "--raw", "broken", "--out", "out", "--workers", "0"], "workers must be at least 1, got 0"),
         (["synthesize", "--out", "out", "--rooms", "0"], "rooms must be at least 1, got 0"),
         (["synthesize", "--out", "out", "--density", "-1"], "density must be positive"),

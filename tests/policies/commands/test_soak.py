@@ -67,7 +67,7 @@ def test_nonsense_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert soak.main(["--kind", "fuzz", "--seed", "-1", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err.endswith("error: --seed must be 0 or more, got -1\n")
     assert soak.main(["--kind", "fuzz", "--count", "40", "--skip", "2", "--out", str(tmp_path)]) == 2
-    assert capsys.readouterr().err.endswith("--skip must be from 0 to 1, as fuzz has 2 units, got 2\n")
+    assert capsys.readouterr().err.endswith("--skip must be 0 or more and less than the 2 units of fuzz, got 2\n")
 
 
 @pytest.mark.usefixtures("quick")
