@@ -31,7 +31,7 @@ from perception.segmentation.weights import find_weights
 from perception.shape import Signature, shape_signature
 
 _log = logging.getLogger(__name__)
-# and their defaults
+# options that older records lack, and their defaults
 _NEWER_OPTIONS = {"hand_eye_deg": 0.0, "trust": "camera", "max_acceleration": None, "max_jerk": None}
 BINS_PER_PART = 3  # number of successive bins of one of many parts
 FIRST_INDEX = 1000  # index within its family of the first generated part; trainings take their parts from 0 on

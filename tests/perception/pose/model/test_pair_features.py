@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from perception.geometry import matrix_from_quat, random_rotation, rotation_about
 from perception.part import Symmetry
-from perception.pose.model._pair_kernels import tangent_frames
+from perception.pose.model._pair_kernels import orbits, tangent_frames
 from perception.pose.model.pair_features import WEIGHT_ONE, PairConfig, unit
 from tests.perception.pose.pair_tables import table_of
 from tests.reference import voting_twin
@@ -36,6 +36,27 @@ def cells_of(table):
 def random_edges(rng, count):
     points, tangents = rng.uniform(-0.5, 0.5, (count, 3)) / math.sqrt(3), rng.normal(size=(count, 3))
     return points, tangents
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_orbits_are_those_of_all_comparisons(seed):
+    """Points on a coarse grid under three rotations, some of them alike in place alone or in direction alone."""
+    rng = np.random.default_rng(seed)
+    places = 0.01 * rng.integers(0, 3, (60, 3, 3)) + rng.uniform(0, 0.001, (60, 3, 3))
+    directions = np.eye(3)[rng.integers(0, 3, (60, 3))] * rng.choice([-1.0, 1.0], (60, 3, 1))
+    expected = []
+    for m in range(60):
+        first = [r for k, (r, _) in enumerate(expected) if r == k]
+        far = np.linalg.norm(places[m] - places[first, 0][:, None], axis=-1).reshape(-1, 3)
+        along = np.abs(np.sum(directions[m] * directions[first, 0][:, None], axis=-1)).reshape(-1, 3)
+        fits = np.argwhere((far <= 0.005) & (along >= 0.9))
+        r, s = (first[fits[0][0]], fits[0][1]) if len(fits) else (m, 0)
+        expected.append((r, s))
+    members, chosen, representatives = orbits(places, directions, 0.005, 0.9)
+    assert list(zip(representatives[members], chosen, strict=True)) == expected
+    assert list(representatives) == [m for m, (r, _) in enumerate(expected) if r == m]
+    assert 3 < len(representatives) < 60
+    assert chosen.any()
 
 
 def test_one_pair_lies_in_the_cells_worked_by_hand():
